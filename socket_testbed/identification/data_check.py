@@ -17,15 +17,24 @@ from itertools import chain, compress, groupby
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, evenly, finite_quantile, gaps, usual_period
+from socket_testbed.arrays import BoolArray, FloatArray, evenly, finite_quantile, gaps, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
-from socket_testbed.identification.noise import channel_noise
+from socket_testbed.identification.limb_motion import (
+    AXES,
+    NEGATED,
+    OPPOSITE,
+    LimbMotion,
+    limb_motion,
+)
+from socket_testbed.identification.noise import channel_noise, deviations
 from socket_testbed.samples import (
     GRAVITY,
+    GROUPS,
+    LOCAL_CHANNELS,
     MOMENTS,
     WRENCH_CHANNELS,
     Samples,
@@ -50,13 +59,25 @@ SEARCHED_LAG = 10.0  # [s]
 LAG_STEP = 0.04  # [s]; at least
 MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
 MAX_INNOVATION = 3.5  # [-]; innovation of a cluster over its deviation; sound <= 3.3
+_USUAL_DEPARTURE = 0.97  # quantile of a channel's departures that are usual
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
-STILL = "not change for"  # how findings call it
+STILL, CAPACITY = "not change for", "of its full scale"  # words of findings
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
 MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published errors 11 N
-# [-]; standard deviation of the clusters' total force over that of the load; sound 0.03 to 0.15
-LOCAL_SHARE = (0.001, 3.0)
+# [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
+# relative to the clusters' share of the socket's area; sound 0.03 to 0.18, that is up to 3.4
+LOCAL_SHARE = (0.001, 10.0)
+MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
+MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
+MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
+MIN_EXCHANGE_GAIN = 0.7  # [-]; in the fit of two clusters by exchanging them; sound <= 0.63
+MIN_SPIKE = 12.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
+FELT_SPIKE = 4.0  # [-]; of another source at the same sample, which then felt it as well
+SPIKE_SHARE = 0.05  # [-]; of a wrench's spike in the usual size of its group; sound 0.026
+POSE_SPIKES = (3e-4, 5e-3)  # [m, rad]; sound 0.05 mm and nothing
+LEAST_SPIKES = 2
+POSE_JUMPS = (0.02, 0.15)  # [m, rad]; from one sample to the next
 LOAD_RANGE = (0.05, 5.0)  # [-]; load over the weight of a stated mass
 MIN_SINKING = 0.5  # [-]; cosine between the limb's motion under load and the axis; sound >= 0.996
 MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
@@ -109,11 +130,12 @@ def check_data(
     # Whatever else a channel in another unit seems to show, its unit causes.
     unclear = tuple(chain.from_iterable(channels for _, channels in units))
     leave_out = (*leave_out, *unclear)
-    if POSITION in unclear:
-        samples = replace(samples, position=np.full_like(samples.position, np.nan))
-    found += _known(raw, samples, leave_out)
+    found += _known(raw, samples, leave_out, unclear)
     outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
+    if POSE in unclear:
+        nothing = np.full_like(samples.position, np.nan)
+        counted = replace(counted, position=nothing, rotation=nothing)
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
     stopped = {each.source for each in raw if STILL in each.fact}
@@ -122,12 +144,13 @@ def check_data(
         for each in _channels(samples, leave_out)
         if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
     ]
-    spikes = plausibility.outlier_notes(samples, outliers)
-    found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
+    found += [*_jumps(counted), *_spikes(counted)]
+    notes = plausibility.outlier_notes(samples, outliers)
+    found += [DataFinding("single values", note, "check cables and connectors") for note in notes]
     return tuple(found)
 
 
-POSITION = "position"  # stands for the limb's position among names of channels
+POSE = "pose"  # stands for the limb's pose among names of channels
 
 
 def still_limit(period: float) -> float:
@@ -136,11 +159,19 @@ def still_limit(period: float) -> float:
 
 
 def _known(
-    raw: tuple[DataFinding, ...], samples: Samples, leave_out: tuple[str, ...]
+    raw: tuple[DataFinding, ...],
+    samples: Samples,
+    leave_out: tuple[str, ...],
+    unclear: tuple[str, ...],
 ) -> Iterator[DataFinding]:
-    """The findings of the measurements, without those of clusters that are left out."""
+    """The findings of the measurements, without those of clusters that are left out.
+
+    A load in another unit exceeds the load cell's capacity only because of its unit.
+    """
     counts = dict(zip(samples.channels, samples.counted(leave_out), strict=True))
     for finding in raw:
+        if CAPACITY in finding.fact and {*WRENCH_CHANNELS} & {*unclear}:
+            continue
         own = local_channels(finding.source)
         if finding.source not in samples.clusters or any(counts[name] for name in own):
             yield finding
@@ -156,7 +187,7 @@ def _units(
     try:
         plausibility.require_position(samples, geometry)
     except IdentificationError as error:
-        yield DataFinding("the units", error.fact, error.hint), (POSITION,)
+        yield DataFinding("the units", error.fact, error.hint), (POSE,)
     wrong = [*plausibility.wrong_units(samples, geometry, leave_out)]
     for channels, error in wrong:
         yield DataFinding("the units", error.fact, error.hint), channels
@@ -173,12 +204,22 @@ def _units(
         finding = DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
         yield finding, () if source else WRENCH_CHANNELS[MOMENTS]
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
+    moment = finite_quantile(np.linalg.norm(samples.wrench[:, MOMENTS], axis=1), 0.95)
+    counted = not {*WRENCH_CHANNELS[MOMENTS]} & {*leave_out}
+    if counted and size > plausibility.MIN_LOAD and 0.0 < moment < MIN_LEVER * size:
+        finding = DataFinding(
+            "the wrench",
+            f"its moment of {moment:.2g} N m is that of its force of {size:.3g} N at a lever of"
+            f" {1e3 * moment / size:.2g} mm",
+            "check that moments are in N m (kN m?), and the load cell's matrix",
+        )
+        yield finding, WRENCH_CHANNELS[MOMENTS]
     weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         finding = DataFinding(
             "the wrench",
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
-            "check that forces are in N, and the mass",
+            "check that forces are in N (kgf, kN?), and the mass",
         )
         yield finding, ()
     angle = finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
@@ -188,7 +229,7 @@ def _units(
             f"the limb turns by {np.degrees(angle):.0f} deg in the socket",
             "check the order of the quaternion (x, y, z, w), and the marker bodies",
         )
-        yield finding, ()
+        yield finding, (POSE,)
 
 
 @dataclass(frozen=True)
@@ -253,7 +294,9 @@ class _Courses:
     @cached_property
     def load_is_too_small(self) -> bool:
         """Whether the load changes far less than the force on the clusters."""
-        limit = max(LOCAL_SHARE[1] * self.load_change, MIN_LOAD_CHANGE / 5)
+        tiles = [self.geometry.clusters[name] for name in self.samples.clusters]
+        share = self.geometry.areas[tiles].sum() / self.geometry.areas.sum()
+        limit = max(LOCAL_SHARE[1] * share * self.load_change, MIN_LOAD_CHANGE / 3)
         return bool(np.isfinite(self.load).any()) and self.clusters_change > limit
 
     @cached_property
@@ -297,6 +340,36 @@ class _Courses:
         return self.load_shows_others and not self.lags
 
     @cached_property
+    def motion(self) -> LimbMotion | None:
+        """The limb's motion beside the load; None if it is not known, or not at the same times."""
+        if self.sign_note or self.lags or self.sinking < MIN_SINKING:
+            return None
+        return limb_motion(self.samples, self.geometry)
+
+    @cached_property
+    def exchanged(self) -> tuple[int, ...]:
+        """Columns of two clusters that fit each other's tiles; empty if all fit their own."""
+        if self.motion is None or self.wrong_axes:
+            return ()
+        first, second, gain = self.motion.exchanged()
+        return (first, second) if gain > MIN_EXCHANGE_GAIN else ()
+
+    @cached_property
+    def wrong_axes(self) -> str:
+        """The horizontal axes with which rotation and moment agree, in words; empty as they are."""
+        if self.motion is None:
+            return ""
+        name, gain = self.motion.axes_of_moment()
+        return name if gain > MIN_AXES_GAIN else ""
+
+    @cached_property
+    def sinking(self) -> float:
+        """Cosine between the limb's motion under load and the axis; 1 if it is not known [-]."""
+        if not self.are_simultaneous:
+            return 1.0
+        return _along(self.samples.position, self.sense * self.load, self.proximal)
+
+    @cached_property
     def causes(self) -> FloatArray:
         """Wrench and pose, (N, 12), or without any pose the wrench, (N, 6) [N m, N, m, rad]."""
         samples = self.samples
@@ -311,8 +384,8 @@ def _small_load(courses: _Courses) -> Iterator[DataFinding]:
             "the wrench",
             f"its force along the socket changes by {courses.load_change:.2g} N while those of the"
             f" clusters change by {courses.clusters_change:.2g} N",
-            "check that forces are in N and stresses in Pa, the load cell's channels, and the"
-            " calibration",
+            "check that forces are in N (kgf, kN?) and stresses in Pa, the load cell's channels,"
+            " and the calibration",
         )
 
 
@@ -343,12 +416,56 @@ def _late_sources(courses: _Courses) -> Iterator[DataFinding]:
         yield DataFinding(name, how, "check the clocks and the delays of the sources")
 
 
+def _horizontal_axes(courses: _Courses) -> Iterator[DataFinding]:
+    """Horizontal axes of the load cell or of the marker bodies that do not agree."""
+    if not courses.wrong_axes or courses.motion is None:
+        return
+    axes = courses.wrong_axes
+    of_pose = OPPOSITE[axes]
+    gain = courses.motion.axes_misfit() - courses.motion.axes_misfit(AXES[of_pose])
+    fact = f"the limb turns as if the horizontal axes of the moments were {axes}"
+    if axes == NEGATED:
+        fact += ", or the moments negated"
+    if gain > MIN_POSE_GAIN:  # the clusters agree with the load cell
+        yield DataFinding(
+            "the limb pose",
+            f"moments and clusters fit it as if its horizontal axes were {of_pose}",
+            "check the registration of the marker bodies in socket.yaml",
+        )
+    elif gain < -MIN_POSE_GAIN:  # the clusters agree with the pose
+        yield DataFinding(
+            "the wrench",
+            fact,
+            "check the mounting of the load cell, the rows and signs of its matrix, and the signs"
+            " of its moments",
+        )
+    else:
+        yield DataFinding(
+            "the wrench or the limb pose",
+            fact,
+            "check the mounting of the load cell, the signs of its moments, and the registration of"
+            " the marker bodies",
+        )
+
+
+def _exchanged_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Two clusters, each of which follows the motion of the limb at the other's tile."""
+    if courses.exchanged:
+        first, second = (courses.samples.clusters[column] for column in courses.exchanged)
+        yield DataFinding(
+            f"{first} and {second}",
+            "each is pressed as the limb's motion presses the other's tile",
+            "check whether their cables or names are exchanged, and their tiles in socket.yaml",
+        )
+
+
 def _reversed_clusters(courses: _Courses) -> Iterator[DataFinding]:
     """Clusters that are pressed less while the limb is loaded more."""
     if not courses.are_simultaneous:
         return
-    for name, value in zip(courses.samples.clusters, courses.sense * courses.follows, strict=True):
-        if value < REVERSED:
+    follows = courses.sense * courses.follows
+    for column, (name, value) in enumerate(zip(courses.samples.clusters, follows, strict=True)):
+        if value < REVERSED and column not in courses.exchanged:
             yield DataFinding(
                 name,
                 f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
@@ -363,9 +480,10 @@ def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
     follows = courses.sense * courses.follows
     noises = channel_noise(courses.samples).local_forces[:, 2]
     sources = zip(courses.samples.clusters, follows, courses.pressing.T, noises, strict=True)
-    for name, value, force, noise in sources:
+    for column, (name, value, force, noise) in enumerate(sources):
         if (
-            REVERSED <= value < MIN_CORRELATION
+            column not in courses.exchanged
+            and REVERSED <= value < MIN_CORRELATION
             and _explained(force, courses.causes) < MIN_EXPLAINED
             and np.nanstd(force) > MIN_SIGNAL * noise  # else it is hardly loaded
         ):
@@ -378,14 +496,11 @@ def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
 
 def _motion_across(courses: _Courses) -> Iterator[DataFinding]:
     """A limb that does not sink along the socket as it is loaded."""
-    if not courses.are_simultaneous:
-        return
-    along = _along(courses.samples.position, courses.sense * courses.load, courses.proximal)
-    if along < MIN_SINKING:
+    if courses.sinking < MIN_SINKING:
         yield DataFinding(
             "the limb pose",
             "the limb does not sink as it is loaded: it moves at"
-            f" {np.degrees(np.arccos(along)):.0f} deg to the socket's axis",
+            f" {np.degrees(np.arccos(courses.sinking)):.0f} deg to the socket's axis",
             "check the axes and the registration of the marker bodies",
         )
 
@@ -395,6 +510,8 @@ _RULES_OF_COURSES = (
     _negated_wrench,
     _small_clusters,
     _late_sources,
+    _horizontal_axes,
+    _exchanged_clusters,
     _reversed_clusters,
     _idle_clusters,
     _motion_across,
@@ -487,6 +604,88 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         else:
             continue
         yield DataFinding(name, fact, hint)
+
+
+def _spikes(samples: Samples) -> Iterator[DataFinding]:
+    """Single values within the range that leave the course of their channel and come back.
+
+    A short load is felt by several sources, a spike by one. The samples are without outliers and
+    left-out channels.
+    """
+    values = {"the wrench": samples.wrench, "the limb pose": samples.pose}
+    forces = samples.trusted_forces
+    values |= {name: forces[:, column] for column, name in enumerate(samples.clusters)}
+    regular = ~gaps(samples.stamps)
+    found = {name: _departures(own, regular) for name, own in values.items()}
+    sharp = {name: ratios.max(axis=1) for name, (_, ratios) in found.items()}
+    size = np.repeat([finite_quantile(np.linalg.norm(samples.wrench[:, of], axis=1), 0.95)
+                      for of in GROUPS], 3)  # fmt: skip
+    least = {"the wrench": SPIKE_SHARE * size, "the limb pose": np.repeat(POSE_SPIKES, 3)}
+    for name, (departures, ratios) in found.items():
+        others = np.max([own for other, own in sharp.items() if other != name], axis=0)
+        single = (ratios > MIN_SPIKE) & (departures > least.get(name, np.zeros(1)))
+        single &= (others < FELT_SPIKE)[:, None]
+        rows = np.flatnonzero(single.any(axis=1))
+        if len(rows) < LEAST_SPIKES:
+            continue
+        row, column = np.unravel_index((single * ratios).argmax(), ratios.shape)
+        size_in_words = _in_words(name, int(column), float(departures[row, column]))
+        yield DataFinding(
+            name,
+            f"{len(rows)} single values jump and come back, such as {size_in_words} at"
+            f" {samples.time[row]:.2f} s, which no other source feels",
+            "check cables, connectors and shields, or the markers",
+        )
+
+
+def _in_words(source: str, column: int, size: float) -> str:
+    """A channel of a source with a size in its unit."""
+    if source == "the limb pose":
+        axis = "xyz"[column % 3]
+        turns = f"the rotation about {axis} by {np.degrees(size):.2g} deg"
+        return turns if column > 2 else f"{axis} by {1e3 * size:.2g} mm"
+    names = WRENCH_CHANNELS if source == "the wrench" else LOCAL_CHANNELS
+    return f"{names[column]} by {size:.3g} {channel_unit(names[column])}"
+
+
+def _departures(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """How far each value lies beyond both its neighbours, on one side of both.
+
+    Args:
+        values: Channels of one source, shape (N, k), in their units.
+        regular: Which of the steps between samples are of the usual length, shape (N - 1,).
+
+    Returns:
+        The distances from the nearer neighbour in the channels' units, 0 between the neighbours or
+        where one is missing, and the same relative to the usual ones or the noise [-], (N, k) each.
+    """
+    steps = np.where(regular[:, None], np.diff(values, axis=0), np.nan)
+    into, out = steps[:-1], -steps[1:]
+    sizes = np.zeros(values.shape)
+    beyond = into * out > 0.0
+    sizes[1:-1][beyond] = np.minimum(np.abs(into), np.abs(out))[beyond]
+    usual = np.quantile(sizes, _USUAL_DEPARTURE, axis=0)
+    noise = np.nan_to_num(deviations(values, regular))
+    scale = np.maximum(usual, noise)
+    return sizes, np.divide(sizes, scale, out=np.zeros(sizes.shape), where=scale > 0.0)
+
+
+def _jumps(samples: Samples) -> Iterator[DataFinding]:
+    """Poses that jump from one sample to the next and stay there."""
+    known = samples.pose[samples.has_pose]
+    time = samples.time[samples.has_pose]
+    for which, part, limit in zip("qr", (known[:, :3], known[:, 3:]), POSE_JUMPS, strict=True):
+        jumped = np.linalg.norm(np.diff(part, axis=0), axis=1)
+        if len(jumped) and jumped.max() > limit:
+            row = int(jumped.argmax())
+            size = jumped[row]
+            words = f"{1e3 * size:.3g} mm" if which == "q" else f"{np.degrees(size):.3g} deg"
+            yield DataFinding(
+                "the limb pose",
+                f"it jumps by {words} at {time[row + 1]:.2f} s",
+                "check whether markers are exchanged or hidden, and whether a body was moved",
+            )
+            return
 
 
 def _filled(course: FloatArray, time: FloatArray) -> FloatArray:

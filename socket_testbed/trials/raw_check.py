@@ -18,7 +18,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, runs, usual_period
+from socket_testbed.arrays import FloatArray, gaps, runs, usual_period
 from socket_testbed.drivers import ERROR
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.errors import fact_and_hint
@@ -29,6 +29,7 @@ from socket_testbed.identification.data_check import (
     DataFinding,
     still_limit,
 )
+from socket_testbed.identification.noise import deviations
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
@@ -36,6 +37,8 @@ from socket_testbed.trials.cdr import decode, stamp_of
 from socket_testbed.trials.synchronise import Measurements
 
 MAX_REPEATED = 0.1  # [-]; share of readings that repeat the one before; sound 0.0
+NOISE_RATIO = 8.0  # [-]; of an input's noise to that of its cluster's others; sound up to 1.6
+MIN_INPUT_NOISE = 0.01  # [pF]; sound 0.002
 _MAX_RETURNS = 1.2  # [-]; runs of equal readings per distinct reading; coarse steps have more
 _OTHERS = ("estimator_node", "calibration_node", "view_node", "replay_node")  # measure nothing
 _OVERLOADED = 3  # samples beyond the capacity for an overload; fewer may be spikes
@@ -54,7 +57,11 @@ def check_readings(
     """
     found = [*_silent_clusters(measured, geometry), *_overload(measured, cell)]
     if len(measured.stamps) >= LEAST_CHECKED:
-        found += [*_stopped_clusters(measured), *_stopped_bodies(measured)]
+        found += [
+            *_stopped_clusters(measured),
+            *_noisy_inputs(measured),
+            *_stopped_bodies(measured),
+        ]
         found += [*_stopped_bridges(measured), *_repetitions(measured)]
     return tuple(found)
 
@@ -153,6 +160,26 @@ def _stopped_clusters(measured: Measurements) -> Iterator[DataFinding]:
         )
 
 
+def _noisy_inputs(measured: Measurements) -> Iterator[DataFinding]:
+    """Inputs far noisier than the other ones of their cluster."""
+    usual = ~gaps(measured.stamps)
+    for column, name in enumerate(measured.clusters):
+        noise = deviations(measured.capacitance[:, column], usual)
+        known = noise[np.isfinite(noise)]
+        if len(known) < len(noise):  # missing, or standing still: reported elsewhere
+            continue
+        worst = int(noise.argmax())
+        others = float(np.median(np.delete(noise, worst)))
+        if noise[worst] > max(NOISE_RATIO * others, MIN_INPUT_NOISE):
+            ratio = noise[worst] / others
+            yield DataFinding(
+                name,
+                f"the noise of its input {worst} is {noise[worst]:.2g} pF, {ratio:.0f} times that of"
+                " its others",
+                "check the shield, the plug and the wires of the input",
+            )
+
+
 def _stopped_bridges(measured: Measurements) -> Iterator[DataFinding]:
     """Bridges of the load cell that stand still."""
     for bridge, ratios in enumerate(measured.ratios.T, start=1):
@@ -189,6 +216,9 @@ def _repetitions(measured: Measurements) -> Iterator[DataFinding]:
                 f"{100.0 * share:.0f} % of its readings repeat the one before",
                 "its source is slower than the trigger or sends old values: check its rate",
             )
+
+
+_RULES = (_stopped_clusters, _noisy_inputs, _stopped_bridges, _stopped_bodies, _repetitions)
 
 
 def _still_for(measured: Measurements, values: FloatArray) -> float:
