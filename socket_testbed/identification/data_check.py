@@ -55,6 +55,11 @@ MIN_SIGNAL = 4.0  # [-]; standard deviation of a cluster over its noise, to comp
 MIN_EXPLAINED = 0.4  # [-]; share of its variance explained by wrench and pose; sound >= 0.48
 MAX_LAG = 3.5  # [s]; lag between sources; sound <= 2.8 (stiff tissue creeps)
 MIN_LAG_GAIN = 0.03  # [-]; gain in correlation for a lag to count
+MIN_LAG_FIT = 0.5  # [-]; correlation with the lag
+MAX_POSE_LAG = 0.3  # [s]; of the pose behind the moments; sound <= 0.12
+MIN_POSE_FIT = 0.8  # [-]; their correlation with that lag
+MAX_CLUSTER_LAG = 0.9  # [s]; of a cluster behind the indentation of its tile
+MIN_CLUSTER_GAIN = 0.6  # [-]; in their correlation by that lag; sound <= 0.37
 SEARCHED_LAG = 10.0  # [s]
 LAG_STEP = 0.04  # [s]; at least
 MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
@@ -68,11 +73,12 @@ MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published 
 # [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
 # relative to the clusters' share of the socket's area; sound 0.03 to 0.18, that is up to 3.4
 LOCAL_SHARE = (0.001, 10.0)
+MAX_BORNE = 20.0  # [-]; usual force on all clusters over the usual load; sound 0.05 to 0.3
 MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
 MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
 MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
 MIN_EXCHANGE_GAIN = 0.7  # [-]; in the fit of two clusters by exchanging them; sound <= 0.63
-MIN_SPIKE = 12.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
+MIN_SPIKE = 8.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
 FELT_SPIKE = 4.0  # [-]; of another source at the same sample, which then felt it as well
 SPIKE_SHARE = 0.05  # [-]; of a wrench's spike in the usual size of its group; sound 0.026
 POSE_SPIKES = (3e-4, 5e-3)  # [m, rad]; sound 0.05 mm and nothing
@@ -300,6 +306,14 @@ class _Courses:
         return bool(np.isfinite(self.load).any()) and self.clusters_change > limit
 
     @cached_property
+    def bears_too_little(self) -> bool:
+        """Whether the clusters bear many times what the load cell measures."""
+        borne = finite_quantile(self.pressing.clip(0.0).sum(axis=1), 0.95)
+        force = force_magnitude(self.samples.wrench)
+        known = bool(np.isfinite(force).any())
+        return known and borne > max(MAX_BORNE * finite_quantile(force, 0.95), MIN_LOAD)
+
+    @cached_property
     def load_shows_others(self) -> bool:
         """Whether the load changes enough to judge others by it, and is not itself in doubt."""
         return self.load_change > MIN_LOAD_CHANGE and not self.load_is_too_small
@@ -335,6 +349,33 @@ class _Courses:
         return {name: lag for name, lag in found.items() if abs(lag) > limit}
 
     @cached_property
+    def motion_lags(self) -> dict[str, float]:
+        """Delays that the limb's motion beside the load shows, by source, as in `lags` [s].
+
+        They are of the pose behind the moments, or else of single clusters behind the pose. Tissue
+        creeps under the load, hardly beside it, so that they may be short.
+        """
+        if self.motion is None:
+            return {}
+        motion, period = self.motion, usual_period(self.motion.time)
+        moment, rotation = motion.moment[:, :2], motion.rotation[:, :2]
+        lag, fit, at_once = _best_lag(moment, rotation, period)
+        _, gain = motion.axes_of_moment()  # of pushes around the limb, a delay turns the axes
+        clear = fit > max(at_once + max(gain, 0.0) + MIN_LAG_GAIN, MIN_POSE_FIT)
+        if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period):
+            return {"the limb pose": lag}
+        if gain > MIN_AXES_GAIN:
+            return {}
+        found = {}
+        limit = max(MAX_CLUSTER_LAG, 2.5 * period)
+        sources = zip(self.samples.clusters, motion.indentation.T, motion.pressing.T, strict=True)
+        for name, tile, own in sources:
+            lag, fit, at_once = _best_lag(tile, own, period)
+            if fit > max(MIN_LAG_FIT, at_once + MIN_CLUSTER_GAIN) and abs(lag) > limit:
+                found[name] = lag
+        return found
+
+    @cached_property
     def are_simultaneous(self) -> bool:
         """Whether sources can be compared with the load sample by sample."""
         return self.load_shows_others and not self.lags
@@ -349,7 +390,7 @@ class _Courses:
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
         """Columns of two clusters that fit each other's tiles; empty if all fit their own."""
-        if self.motion is None or self.wrong_axes:
+        if self.motion is None or self.wrong_axes or self.motion_lags:
             return ()
         first, second, gain = self.motion.exchanged()
         return (first, second) if gain > MIN_EXCHANGE_GAIN else ()
@@ -357,7 +398,7 @@ class _Courses:
     @cached_property
     def wrong_axes(self) -> str:
         """The horizontal axes with which rotation and moment agree, in words; empty as they are."""
-        if self.motion is None:
+        if self.motion is None or self.motion_lags:
             return ""
         name, gain = self.motion.axes_of_moment()
         return name if gain > MIN_AXES_GAIN else ""
@@ -389,6 +430,19 @@ def _small_load(courses: _Courses) -> Iterator[DataFinding]:
         )
 
 
+def _little_load(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench of far less force than the clusters bear, though it may hardly change."""
+    if courses.bears_too_little and not courses.load_is_too_small:
+        force = finite_quantile(force_magnitude(courses.samples.wrench), 0.95)
+        borne = finite_quantile(courses.pressing.clip(0.0).sum(axis=1), 0.95)
+        yield DataFinding(
+            "the wrench",
+            f"its force of {force:.2g} N is a small part of the {borne:.2g} N on the clusters",
+            "check that forces are in N (kgf, kN?) and stresses in Pa, the load cell's channels,"
+            " and the calibration",
+        )
+
+
 def _negated_wrench(courses: _Courses) -> Iterator[DataFinding]:
     """A wrench that pulls at a pressed socket, or that falls as the clusters are pressed."""
     if courses.sign_note:
@@ -413,6 +467,10 @@ def _late_sources(courses: _Courses) -> Iterator[DataFinding]:
     """Sources that follow the load too late or too early."""
     for name, lag in courses.lags.items():
         how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
+        yield DataFinding(name, how, "check the clocks and the delays of the sources")
+    for name, lag in courses.motion_lags.items():
+        against = "the moments of the load cell" if name == "the limb pose" else "the limb's motion"
+        how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against {against}"
         yield DataFinding(name, how, "check the clocks and the delays of the sources")
 
 
@@ -507,6 +565,7 @@ def _motion_across(courses: _Courses) -> Iterator[DataFinding]:
 
 _RULES_OF_COURSES = (
     _small_load,
+    _little_load,
     _negated_wrench,
     _small_clusters,
     _late_sources,
@@ -739,20 +798,36 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 
     The period is the time between values [s].
     """
+    best, fit, at_once = _best_lag(reference, course, period)
+    return best if fit > max(at_once + MIN_LAG_GAIN, MIN_LAG_FIT) else 0.0
+
+
+def _best_lag(
+    reference: FloatArray, course: FloatArray, period: float
+) -> tuple[float, float, float]:
+    """Delay of a series behind another with the highest correlation.
+
+    Args:
+        reference: The other series, shape (N,), or (N, k) of vectors with mean zero.
+        course: The series, of the same shape.
+        period: Time between the values [s].
+
+    Returns:
+        The delay [s], the correlation with it, and that without a delay [-]; zeros if unknown.
+    """
     step = max(1, round(LAG_STEP / period))
     reference, course, period = reference[::step], course[::step], step * period
     limit = min(round(SEARCHED_LAG / period), len(course) // 3)
     found = {
-        lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)],
-                          reference[max(-lag, 0) : len(course) - max(lag, 0)])
+        lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)].ravel(),
+                          reference[max(-lag, 0) : len(course) - max(lag, 0)].ravel())
         for lag in range(-limit, limit + 1)
     }  # fmt: skip
     found = {lag: value for lag, value in found.items() if np.isfinite(value)}
     if 0 not in found:
-        return 0.0
+        return 0.0, 0.0, 0.0
     best = max(found, key=lambda lag: (found[lag], -abs(lag)))
-    clear = found[best] > max(found[0] + MIN_LAG_GAIN, 0.5)
-    return best * period if clear else 0.0
+    return best * period, found[best], found[0]
 
 
 def _longest_run(values: FloatArray) -> int:

@@ -50,6 +50,7 @@ class LimbMotion:
     """Courses of the limb, the moment and the clusters, without what follows the load; N samples.
 
     Attributes:
+        time: Times of the samples, shape (N,) [s].
         shift: Displacement of the limb at the centre of the socket, in {S}, shape (N, 3) [m].
         rotation: Small rotations of the limb about x, y, z of {S}, shape (N, 3) [rad].
         moment: Moment about the centre of the socket, in {S}, shape (N, 3) [N m].
@@ -59,6 +60,7 @@ class LimbMotion:
         outward: Outward normals of the clusters' tiles, shape (c, 3) [-].
     """
 
+    time: FloatArray
     shift: FloatArray
     rotation: FloatArray
     moment: FloatArray
@@ -110,13 +112,18 @@ class LimbMotion:
 
     def _follows(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
         """Correlation of each cluster's force with the indentation of each one's tile, (c, c)."""
-        indentation = shift @ self.outward.T + rotation @ self.arms.T
+        tiles = self._indentation(shift, rotation).T
         return np.array(
-            [
-                [_alike(force[:, None], tile[:, None]) for tile in indentation.T]
-                for force in self.pressing.T
-            ]
+            [[_alike(force[:, None], tile[:, None]) for tile in tiles] for force in self.pressing.T]
         )
+
+    @property
+    def indentation(self) -> FloatArray:
+        """Motion of the limb into the tile of each cluster, shape (N, c) [m]."""
+        return self._indentation(self.shift, self.rotation)
+
+    def _indentation(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
+        return np.asarray(shift @ self.outward.T + rotation @ self.arms.T)
 
 
 def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None:
@@ -145,6 +152,7 @@ def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None
     outward = -geometry.rotations[tiles, :, 2]
     known_causes = np.column_stack([np.ones(len(samples)), samples.time, force[:, 2]])
     return LimbMotion(
+        time=samples.time,
         shift=_left_of(shift, known_causes),
         rotation=_left_of(rotation, known_causes),
         moment=_left_of(moment - np.cross(centre, force), known_causes),

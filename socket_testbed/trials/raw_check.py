@@ -174,8 +174,8 @@ def _noisy_inputs(measured: Measurements) -> Iterator[DataFinding]:
             ratio = noise[worst] / others
             yield DataFinding(
                 name,
-                f"the noise of its input {worst} is {noise[worst]:.2g} pF, {ratio:.0f} times that of"
-                " its others",
+                f"the noise of its input {worst} is {noise[worst]:.2g} pF, {ratio:.0f} times that"
+                " of its others",
                 "check the shield, the plug and the wires of the input",
             )
 
