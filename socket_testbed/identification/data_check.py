@@ -59,6 +59,7 @@ MIN_LAG_FIT = 0.5  # [-]; correlation with the lag
 MAX_POSE_LAG = 0.3  # [s]; of the pose behind the moments; sound <= 0.12
 MIN_POSE_FIT = 0.8  # [-]; their correlation with that lag
 MAX_CLUSTER_LAG = 0.9  # [s]; of a cluster behind the indentation of its tile
+MIN_CLUSTER_FIT = 0.4  # [-]; their correlation with that lag
 MIN_CLUSTER_GAIN = 0.6  # [-]; in their correlation by that lag; sound <= 0.37
 SEARCHED_LAG = 10.0  # [s]
 LAG_STEP = 0.04  # [s]; at least
@@ -355,25 +356,33 @@ class _Courses:
         They are of the pose behind the moments, or else of single clusters behind the pose. Tissue
         creeps under the load, hardly beside it, so that they may be short.
         """
-        if self.motion is None:
+        if self.pose_lag:
+            return {"the limb pose": self.pose_lag}
+        if self.motion is None or self.wrong_axes or self.exchanged:
             return {}
         motion, period = self.motion, usual_period(self.motion.time)
-        moment, rotation = motion.moment[:, :2], motion.rotation[:, :2]
-        lag, fit, at_once = _best_lag(moment, rotation, period)
-        _, gain = motion.axes_of_moment()  # of pushes around the limb, a delay turns the axes
-        clear = fit > max(at_once + max(gain, 0.0) + MIN_LAG_GAIN, MIN_POSE_FIT)
-        if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period):
-            return {"the limb pose": lag}
-        if gain > MIN_AXES_GAIN:
-            return {}
         found = {}
         limit = max(MAX_CLUSTER_LAG, 2.5 * period)
         sources = zip(self.samples.clusters, motion.indentation.T, motion.pressing.T, strict=True)
         for name, tile, own in sources:
             lag, fit, at_once = _best_lag(tile, own, period)
-            if fit > max(MIN_LAG_FIT, at_once + MIN_CLUSTER_GAIN) and abs(lag) > limit:
+            if fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN) and abs(lag) > limit:
                 found[name] = lag
         return found
+
+    @cached_property
+    def pose_lag(self) -> float:
+        """Delay of the limb's rotation behind the moments, beside the load; 0 if it is short [s].
+
+        While hands push around the limb, a delay looks like turned axes: what fits better counts.
+        """
+        if self.motion is None:
+            return 0.0
+        motion, period = self.motion, usual_period(self.motion.time)
+        lag, fit, at_once = _best_lag(motion.moment[:, :2], motion.rotation[:, :2], period)
+        gain = max(0.0, motion.axes_of_moment()[1])
+        clear = fit > max(at_once + gain + MIN_LAG_GAIN, MIN_POSE_FIT)
+        return lag if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period) else 0.0
 
     @cached_property
     def are_simultaneous(self) -> bool:
@@ -390,7 +399,7 @@ class _Courses:
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
         """Columns of two clusters that fit each other's tiles; empty if all fit their own."""
-        if self.motion is None or self.wrong_axes or self.motion_lags:
+        if self.motion is None or self.wrong_axes or self.pose_lag:
             return ()
         first, second, gain = self.motion.exchanged()
         return (first, second) if gain > MIN_EXCHANGE_GAIN else ()
@@ -398,7 +407,7 @@ class _Courses:
     @cached_property
     def wrong_axes(self) -> str:
         """The horizontal axes with which rotation and moment agree, in words; empty as they are."""
-        if self.motion is None or self.motion_lags:
+        if self.motion is None or self.pose_lag:
             return ""
         name, gain = self.motion.axes_of_moment()
         return name if gain > MIN_AXES_GAIN else ""
@@ -736,7 +745,7 @@ def _jumps(samples: Samples) -> Iterator[DataFinding]:
     for which, part, limit in zip("qr", (known[:, :3], known[:, 3:]), POSE_JUMPS, strict=True):
         jumped = np.linalg.norm(np.diff(part, axis=0), axis=1)
         if len(jumped) and jumped.max() > limit:
-            row = int(jumped.argmax())
+            row = int((jumped > limit).argmax())  # the first one
             size = jumped[row]
             words = f"{1e3 * size:.3g} mm" if which == "q" else f"{np.degrees(size):.3g} deg"
             yield DataFinding(

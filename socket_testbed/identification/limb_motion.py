@@ -42,6 +42,7 @@ OPPOSITE = {  # what the other of two vectors has, if the first one has the axes
     "turned by -90 degrees": "turned by 90 degrees",
 }
 LEAST_MOTION = 30  # samples with a pose, a wrench and all clusters
+_ROUNDING = 1e-9  # [-]; relative to the largest value of a course
 _CERTAIN = 0.999  # [-]; largest correlation, so that a perfect one stays finite
 
 
@@ -163,9 +164,10 @@ def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None
 
 
 def _left_of(courses: FloatArray, causes: FloatArray) -> FloatArray:
-    """What of some courses (N, k) is not linear in others (N, m)."""
+    """What of some courses (N, k) is not linear in others (N, m); zero if it is only rounding."""
     scaled = causes / np.maximum(np.abs(causes).max(axis=0), 1e-12)
-    return np.asarray(courses - scaled @ np.linalg.lstsq(scaled, courses, rcond=None)[0])
+    left = courses - scaled @ np.linalg.lstsq(scaled, courses, rcond=None)[0]
+    return np.where(left.std(axis=0) > _ROUNDING * np.abs(courses).max(axis=0), left, 0.0)
 
 
 def _alike(one: FloatArray, other: FloatArray) -> float:

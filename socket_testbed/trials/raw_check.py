@@ -245,9 +245,10 @@ def _repeated(values: FloatArray) -> float:
     if len(kept) < LEAST_CHECKED:
         return 0.0
     equal = (np.diff(kept, axis=0) == 0.0).all(axis=1)
-    distinct = len(np.unique(kept, axis=0))
+    if equal.mean() <= MAX_REPEATED:
+        return 0.0
     own_runs = len(kept) - int(equal.sum())
-    if own_runs > _MAX_RETURNS * distinct:
+    if own_runs > _MAX_RETURNS * len(np.unique(kept, axis=0)):
         return 0.0
     short = runs(equal)
     counted = sum(int(end - start) for start, end in short if end - start <= _LONGEST_REPETITION)
