@@ -1,11 +1,18 @@
 """Is a trial's data good, and if not, which source needs a look? No model is needed.
 
-A loaded limb presses the wall: over a trial every cluster's normal force and the limb's pose follow
-the force along the socket. This reveals a reversed sign, a late or dead source and a wrong unit.
-If all of that is good, each cluster is compared with the force map of the others and the wrench.
-The thresholds leave a margin to sound simulated trials of 30 to 120 s (four scenarios, soft and
-stiff, 4 and 25 Hz). A single trial cannot reveal a gain or offset that is consistent with the
-wrench, a rotated load cell, or two exchanged clusters under similar load.
+Units are judged first: a source in another unit is named, and what else it seems to show is its
+unit's doing. Then come the defects that the readings show (`trials.raw_check`), and the courses:
+
+- A loaded limb presses the wall: over a trial every cluster's normal force and the limb's pose
+  follow the force along the socket. This reveals a reversed sign, a late or dead source.
+- Beside the load, the limb turns as its moments say and presses the wall towards which it moves
+  (`limb_motion`). This reveals wrong axes, negated moments, exchanged clusters and short delays.
+- If all of that is good, each cluster is compared with the force map of the others and the wrench.
+- Each source alone: missing, frozen, clipped, noisy; single values and poses that jump.
+
+The thresholds leave a margin to 256 sound simulated trials of 20 to 300 s (four scenarios, soft and
+stiff, 1 to 100 Hz). A single trial cannot reveal a gain or offset that is consistent with the
+wrench, or a slow drift; and without horizontal motion, two exchanged clusters under similar load.
 """
 
 from __future__ import annotations
@@ -78,7 +85,9 @@ MAX_BORNE = 20.0  # [-]; usual force on all clusters over the usual load; sound 
 MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
 MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
 MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
-MIN_EXCHANGE_GAIN = 0.7  # [-]; in the fit of two clusters by exchanging them; sound <= 0.63
+MIN_AGREEMENT = 0.94  # [-]; of rotation and moment while hands push from all sides
+# [-]; in the fit of two clusters by exchanging them, while pushed and otherwise; sound <= 0.63
+MIN_EXCHANGE_GAIN = (0.4, 1.0)
 MIN_SPIKE = 8.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
 FELT_SPIKE = 4.0  # [-]; of another source at the same sample, which then felt it as well
 SPIKE_SHARE = 0.05  # [-]; of a wrench's spike in the usual size of its group; sound 0.026
@@ -137,7 +146,7 @@ def check_data(
     # Whatever else a channel in another unit seems to show, its unit causes.
     unclear = tuple(chain.from_iterable(channels for _, channels in units))
     leave_out = (*leave_out, *unclear)
-    found += _known(raw, samples, leave_out, unclear)
+    found += _known(raw, leave_out, unclear)
     outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
     if POSE in unclear:
@@ -166,21 +175,17 @@ def still_limit(period: float) -> float:
 
 
 def _known(
-    raw: tuple[DataFinding, ...],
-    samples: Samples,
-    leave_out: tuple[str, ...],
-    unclear: tuple[str, ...],
+    raw: tuple[DataFinding, ...], leave_out: tuple[str, ...], unclear: tuple[str, ...]
 ) -> Iterator[DataFinding]:
-    """The findings of the measurements, without those of clusters that are left out.
+    """The findings of the measurements, without those of sources that are left out.
 
     A load in another unit exceeds the load cell's capacity only because of its unit.
     """
-    counts = dict(zip(samples.channels, samples.counted(leave_out), strict=True))
     for finding in raw:
-        if CAPACITY in finding.fact and {*WRENCH_CHANNELS} & {*unclear}:
-            continue
-        own = local_channels(finding.source)
-        if finding.source not in samples.clusters or any(counts[name] for name in own):
+        of_cell = finding.source in ("the wrench", "the load cell")
+        own = {*(WRENCH_CHANNELS if of_cell else local_channels(finding.source))}
+        by_unit = CAPACITY in finding.fact and own & {*unclear}
+        if not own <= {*leave_out} and not by_unit:
             yield finding
 
 
@@ -358,13 +363,15 @@ class _Courses:
         """
         if self.pose_lag:
             return {"the limb pose": self.pose_lag}
-        if self.motion is None or self.wrong_axes or self.exchanged:
+        if self.motion is None or self.wrong_axes or self.exchanged or not self.is_pushed:
             return {}
         motion, period = self.motion, usual_period(self.motion.time)
         found = {}
         limit = max(MAX_CLUSTER_LAG, 2.5 * period)
         sources = zip(self.samples.clusters, motion.indentation.T, motion.pressing.T, strict=True)
         for name, tile, own in sources:
+            if _correlation(tile, own) > 1.0 - MIN_CLUSTER_GAIN:
+                continue  # no delay can fit clearly better
             lag, fit, at_once = _best_lag(tile, own, period)
             if fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN) and abs(lag) > limit:
                 found[name] = lag
@@ -379,7 +386,10 @@ class _Courses:
         if self.motion is None:
             return 0.0
         motion, period = self.motion, usual_period(self.motion.time)
-        lag, fit, at_once = _best_lag(motion.moment[:, :2], motion.rotation[:, :2], period)
+        moment, rotation = motion.moment[:, :2], motion.rotation[:, :2]
+        if motion.agreement > 1.0 - MIN_LAG_GAIN:
+            return 0.0  # no delay can fit clearly better
+        lag, fit, at_once = _best_lag(moment, rotation, period)
         gain = max(0.0, motion.axes_of_moment()[1])
         clear = fit > max(at_once + gain + MIN_LAG_GAIN, MIN_POSE_FIT)
         return lag if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period) else 0.0
@@ -402,7 +412,13 @@ class _Courses:
         if self.motion is None or self.wrong_axes or self.pose_lag:
             return ()
         first, second, gain = self.motion.exchanged()
-        return (first, second) if gain > MIN_EXCHANGE_GAIN else ()
+        least = MIN_EXCHANGE_GAIN[0 if self.is_pushed else 1]
+        return (first, second) if gain > least else ()
+
+    @cached_property
+    def is_pushed(self) -> bool:
+        """Whether the limb is pushed around so much that its motion beside the load is clear."""
+        return self.motion is not None and self.motion.agreement > MIN_AGREEMENT
 
     @cached_property
     def wrong_axes(self) -> str:
