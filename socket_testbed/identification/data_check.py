@@ -153,7 +153,9 @@ def check_data(
         nothing = np.full_like(samples.position, np.nan)
         counted = replace(counted, position=nothing, rotation=nothing)
     if whole:
-        found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
+        in_doubt = LOAD in unclear
+        courses = [*_time_series(counted, geometry, in_doubt)]
+        found += courses or ([] if in_doubt else [*_disagreements(counted, geometry)])
     stopped = {each.source for each in raw if STILL in each.fact}
     found += [
         each
@@ -166,6 +168,8 @@ def check_data(
     return tuple(found)
 
 
+MOMENT_CHANNELS = tuple(WRENCH_CHANNELS[MOMENTS])
+LOAD = "load"  # stands for the size of the load among names of channels
 POSE = "pose"  # stands for the limb's pose among names of channels
 
 
@@ -201,8 +205,8 @@ def _units(
     except IdentificationError as error:
         yield DataFinding("the units", error.fact, error.hint), (POSE,)
     wrong = [*plausibility.wrong_units(samples, geometry, leave_out)]
-    for channels, error in wrong:
-        yield DataFinding("the units", error.fact, error.hint), channels
+    for channels, excess in wrong:
+        yield DataFinding("the units", excess.fact, excess.hint), channels
     if wrong:
         return
     proposed = plausibility.find_implausible(samples, geometry)
@@ -214,10 +218,10 @@ def _units(
         if source:
             hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
         finding = DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
-        yield finding, () if source else WRENCH_CHANNELS[MOMENTS]
+        yield finding, () if source else MOMENT_CHANNELS
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
     moment = finite_quantile(np.linalg.norm(samples.wrench[:, MOMENTS], axis=1), 0.95)
-    counted = not {*WRENCH_CHANNELS[MOMENTS]} & {*leave_out}
+    counted = not {*MOMENT_CHANNELS} & {*leave_out}
     if counted and size > plausibility.MIN_LOAD and 0.0 < moment < MIN_LEVER * size:
         finding = DataFinding(
             "the wrench",
@@ -225,7 +229,7 @@ def _units(
             f" {1e3 * moment / size:.2g} mm",
             "check that moments are in N m (kN m?), and the load cell's matrix",
         )
-        yield finding, WRENCH_CHANNELS[MOMENTS]
+        yield finding, MOMENT_CHANNELS
     weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         finding = DataFinding(
@@ -233,7 +237,7 @@ def _units(
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N (kgf, kN?), and the mass",
         )
-        yield finding, ()
+        yield finding, (LOAD,)
     angle = finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
     if angle > MAX_ROTATION:
         finding = DataFinding(
@@ -255,10 +259,12 @@ class _Courses:
         samples: The samples, without outliers and left-out channels, with rotations since the mean
             attitude.
         geometry: The socket.
+        load_in_doubt: Whether the size of the load is reported already.
     """
 
     samples: Samples
     geometry: SocketGeometry
+    load_in_doubt: bool = False
 
     @cached_property
     def load(self) -> FloatArray:
@@ -445,7 +451,7 @@ class _Courses:
 
 def _small_load(courses: _Courses) -> Iterator[DataFinding]:
     """A wrench that changes far less than the forces on the clusters."""
-    if courses.load_is_too_small:
+    if courses.load_is_too_small and not courses.load_in_doubt:
         yield DataFinding(
             "the wrench",
             f"its force along the socket changes by {courses.load_change:.2g} N while those of the"
@@ -457,7 +463,9 @@ def _small_load(courses: _Courses) -> Iterator[DataFinding]:
 
 def _little_load(courses: _Courses) -> Iterator[DataFinding]:
     """A wrench of far less force than the clusters bear, though it may hardly change."""
-    if courses.bears_too_little and not courses.load_is_too_small:
+    if courses.load_in_doubt or courses.load_is_too_small:
+        return
+    if courses.bears_too_little:
         force = finite_quantile(force_magnitude(courses.samples.wrench), 0.95)
         borne = finite_quantile(courses.pressing.clip(0.0).sum(axis=1), 0.95)
         yield DataFinding(
@@ -602,9 +610,11 @@ _RULES_OF_COURSES = (
 )
 
 
-def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+def _time_series(
+    samples: Samples, geometry: SocketGeometry, load_in_doubt: bool = False
+) -> Iterator[DataFinding]:
     """Sizes, signs and lags, and whether each source follows the load."""
-    courses = _Courses(samples, geometry)
+    courses = _Courses(samples, geometry, load_in_doubt)
     return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 

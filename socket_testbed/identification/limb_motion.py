@@ -143,7 +143,7 @@ def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None
         geometry: The socket, which has the clusters of the samples.
     """
     pressing = -samples.trusted_forces[:, :, 2]
-    seen = np.isfinite(pressing).any(axis=0)
+    seen = np.asarray(np.isfinite(pressing).any(axis=0))
     known = np.isfinite(samples.wrench).all(axis=1) & samples.has_pose
     known &= np.isfinite(pressing[:, seen]).all(axis=1)
     if known.sum() < LEAST_MOTION or seen.sum() < len(seen) or len(seen) < 2:
