@@ -86,6 +86,7 @@ MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
 MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
 MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
 MIN_AGREEMENT = 0.94  # [-]; of rotation and moment while hands push from all sides
+MIN_PUSH = 0.5  # [N m]; standard deviation of a moment beside the load; of sway up to 0.2
 # [-]; in the fit of two clusters by exchanging them, while pushed and otherwise; sound <= 0.63
 MIN_EXCHANGE_GAIN = (0.4, 1.0)
 MIN_SPIKE = 8.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
@@ -369,7 +370,9 @@ class _Courses:
         """
         if self.pose_lag:
             return {"the limb pose": self.pose_lag}
-        if self.motion is None or self.wrong_axes or self.exchanged or not self.is_pushed:
+        if self.motion is None or self.wrong_axes or self.exchanged:
+            return {}
+        if not self.is_pushed or not self.is_regular:
             return {}
         motion, period = self.motion, usual_period(self.motion.time)
         found = {}
@@ -379,7 +382,9 @@ class _Courses:
             if _correlation(tile, own) > 1.0 - MIN_CLUSTER_GAIN:
                 continue  # no delay can fit clearly better
             lag, fit, at_once = _best_lag(tile, own, period)
-            if fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN) and abs(lag) > limit:
+            # One that moves against its tile at once is reversed rather than late.
+            clear = fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN, -at_once)
+            if clear and abs(lag) > limit:
                 found[name] = lag
         return found
 
@@ -389,7 +394,7 @@ class _Courses:
 
         While hands push around the limb, a delay looks like turned axes: what fits better counts.
         """
-        if self.motion is None:
+        if self.motion is None or not self.is_regular:
             return 0.0
         motion, period = self.motion, usual_period(self.motion.time)
         moment, rotation = motion.moment[:, :2], motion.rotation[:, :2]
@@ -424,7 +429,14 @@ class _Courses:
     @cached_property
     def is_pushed(self) -> bool:
         """Whether the limb is pushed around so much that its motion beside the load is clear."""
-        return self.motion is not None and self.motion.agreement > MIN_AGREEMENT
+        if self.motion is None or self.motion.agreement < MIN_AGREEMENT:
+            return False
+        return float(self.motion.moment[:, :2].std(axis=0).max()) > MIN_PUSH
+
+    @cached_property
+    def is_regular(self) -> bool:
+        """Whether the motion is known at nearly all samples, as a search for delays needs."""
+        return self.motion is not None and len(self.motion.time) >= 0.9 * len(self.samples)
 
     @cached_property
     def wrong_axes(self) -> str:
