@@ -100,7 +100,7 @@ NUMBERS = {
         f"retries after {clocks._MIN_WAIT} s, then after up to {clocks._MAX_WAIT} s",
         f"no data at the recorder for {recorder_node._SILENCE_TIMEOUT:g} s",
         f"correlation below {data_check.REVERSED}; sound",
-        f"as the load, {data_check.LOCAL_SHARE[1]:g} times their share of the area, or bear"
+        f"varies by {data_check.LOCAL_SHARE[1]:g} times their share of the load (by area), or is"
         f" {data_check.MAX_BORNE:g} times the load",
         f"a lever below {1e3 * data_check.MIN_LEVER:g} mm",
         f"below {data_check.LOAD_RANGE[0]:g} or above {data_check.LOAD_RANGE[1]:g} body weights",
