@@ -1,40 +1,58 @@
 """Is a trial's data good, and if not, which source needs a look? No model is needed.
 
-A loaded limb presses the wall: over a trial every cluster's normal force and the limb's pose follow
-the force along the socket. This reveals a reversed sign, a late or dead source and a wrong unit.
-If all of that is good, each cluster is compared with the force map of the others and the wrench.
-The thresholds leave a margin to sound simulated trials of 30 to 120 s (four scenarios, soft and
-stiff, 4 and 25 Hz). A single trial cannot reveal a gain or offset that is consistent with the
-wrench, a rotated load cell, or two exchanged clusters under similar load.
+Units are judged first: a source in another unit is named, and what else it seems to show is its
+unit's doing. Then come the defects that the readings show (`trials.raw_check`), and the courses:
+
+- A loaded limb presses the wall: over a trial every cluster's normal force and the limb's pose
+  follow the force along the socket. This reveals a reversed sign, a late or dead source.
+- Beside the load, the limb turns as its moments say and presses the wall towards which it moves
+  (`limb_motion`). This reveals wrong axes, negated moments, exchanged clusters and short delays.
+- If all of that is good, each cluster is compared with the force map of the others and the wrench.
+- Each source alone: missing, frozen, clipped, noisy; single values and poses that jump.
+
+The thresholds leave a margin to 256 sound simulated trials of 20 to 300 s (four scenarios, soft and
+stiff, 1 to 100 Hz). A single trial cannot reveal a gain or offset that is consistent with the
+wrench, or a slow drift; and without horizontal motion, two exchanged clusters under similar load.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, compress, groupby
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, evenly, finite_quantile, gaps, usual_period
+from socket_testbed.arrays import BoolArray, FloatArray, evenly, finite_quantile, gaps, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
-from socket_testbed.identification.noise import channel_noise
+from socket_testbed.identification.limb_motion import (
+    AXES,
+    NEGATED,
+    OPPOSITE,
+    LimbMotion,
+    limb_motion,
+)
+from socket_testbed.identification.noise import channel_noise, deviations
 from socket_testbed.samples import (
     GRAVITY,
+    GROUPS,
+    LOCAL_CHANNELS,
+    MOMENTS,
     WRENCH_CHANNELS,
     Samples,
     Status,
     channel_unit,
     force_magnitude,
+    local_channels,
 )
 from socket_testbed.settings.identification import ForceMapSettings
 
-GOOD, LOOK = "data: good", "data: look at "
+GOOD, LOOK = "data: good", "data: check "
 LEAST_CHECKED = 30
 MIN_LOAD_CHANGE = 15.0  # [N]; standard deviation of the load, to compare other sources with it
 MIN_LOAD = 15.0  # [N]; to compare the clusters with each other
@@ -44,17 +62,40 @@ MIN_SIGNAL = 4.0  # [-]; standard deviation of a cluster over its noise, to comp
 MIN_EXPLAINED = 0.4  # [-]; share of its variance explained by wrench and pose; sound >= 0.48
 MAX_LAG = 3.5  # [s]; lag between sources; sound <= 2.8 (stiff tissue creeps)
 MIN_LAG_GAIN = 0.03  # [-]; gain in correlation for a lag to count
+MIN_LAG_FIT = 0.5  # [-]; correlation with the lag
+MAX_POSE_LAG = 0.3  # [s]; of the pose behind the moments; sound <= 0.12
+MIN_POSE_FIT = 0.8  # [-]; their correlation with that lag
+MAX_CLUSTER_LAG = 0.9  # [s]; of a cluster behind the indentation of its tile
+MIN_CLUSTER_FIT = 0.4  # [-]; their correlation with that lag
+MIN_CLUSTER_GAIN = 0.6  # [-]; in their correlation by that lag; sound <= 0.37
 SEARCHED_LAG = 10.0  # [s]
 LAG_STEP = 0.04  # [s]; at least
 MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
 MAX_INNOVATION = 3.5  # [-]; innovation of a cluster over its deviation; sound <= 3.3
+_USUAL_DEPARTURE = 0.97  # quantile of a channel's departures that are usual
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
+STILL, CAPACITY = "not change for", "of its full scale"  # words of findings
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
 MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published errors 11 N
-# [-]; standard deviation of the clusters' total force over that of the load; sound 0.03 to 0.15
-LOCAL_SHARE = (0.001, 3.0)
-LOAD_RANGE = (0.02, 5.0)  # [-]; load over the weight of a stated mass
+# [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
+# relative to the clusters' share of the socket's area; sound 0.03 to 0.18, that is up to 3.4
+LOCAL_SHARE = (0.001, 10.0)
+MAX_BORNE = 20.0  # [-]; usual force on all clusters over the usual load; sound 0.05 to 0.3
+MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
+MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
+MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
+MIN_AGREEMENT = 0.94  # [-]; of rotation and moment while hands push from all sides
+MIN_PUSH = 0.5  # [N m]; standard deviation of a moment beside the load; of sway up to 0.2
+# [-]; in the fit of two clusters by exchanging them, while pushed and otherwise; sound <= 0.63
+MIN_EXCHANGE_GAIN = (0.4, 1.0)
+MIN_SPIKE = 8.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
+FELT_SPIKE = 4.0  # [-]; of another source at the same sample, which then felt it as well
+SPIKE_SHARE = 0.05  # [-]; of a wrench's spike in the usual size of its group; sound 0.026
+POSE_SPIKES = (3e-4, 5e-3)  # [m, rad]; sound 0.05 mm and nothing
+LEAST_SPIKES = 2
+POSE_JUMPS = (0.02, 0.15)  # [m, rad]; from one sample to the next
+LOAD_RANGE = (0.05, 5.0)  # [-]; load over the weight of a stated mass
 MIN_SINKING = 0.5  # [-]; cosine between the limb's motion under load and the axis; sound >= 0.996
 MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
 
@@ -84,6 +125,7 @@ def check_data(
     mass: float | None = None,
     leave_out: tuple[str, ...] = (),
     whole: bool = True,
+    raw: tuple[DataFinding, ...] = (),
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
@@ -94,54 +136,117 @@ def check_data(
         leave_out: Names of channels that are not checked, such as `Mz` or `distal.Fx`.
         whole: Whether the samples are a whole trial. In a window the limb may just be pushed, so
             sources are not compared over time.
+        raw: What the measurements from which the samples were made show, see
+            `trials.raw_check`; findings on units go before it, others after it.
     """
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
+    units = [*_units(samples.centred(), geometry, mass, leave_out)]
+    found = [finding for finding, _ in units]
+    # Whatever else a channel in another unit seems to show, its unit causes.
+    unclear = tuple(chain.from_iterable(channels for _, channels in units))
+    leave_out = (*leave_out, *unclear)
+    found += _known(raw, leave_out, unclear)
     outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
-    found = [*_units(counted, geometry, mass, leave_out)]
+    if POSE in unclear:
+        nothing = np.full_like(samples.position, np.nan)
+        counted = replace(counted, position=nothing, rotation=nothing)
     if whole:
-        found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
-    found += _channels(samples, leave_out)
-    spikes = plausibility.outlier_notes(samples, outliers)
-    found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
+        in_doubt = LOAD in unclear
+        courses = [*_time_series(counted, geometry, in_doubt)]
+        found += courses or ([] if in_doubt else [*_disagreements(counted, geometry)])
+    stopped = {each.source for each in raw if STILL in each.fact}
+    found += [
+        each
+        for each in _channels(samples, leave_out)
+        if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
+    ]
+    found += [*_jumps(counted), *_spikes(counted)]
+    notes = plausibility.outlier_notes(samples, outliers)
+    found += [DataFinding("single values", note, "check cables and connectors") for note in notes]
     return tuple(found)
+
+
+MOMENT_CHANNELS = tuple(WRENCH_CHANNELS[MOMENTS])
+LOAD = "load"  # stands for the size of the load among names of channels
+POSE = "pose"  # stands for the limb's pose among names of channels
+
+
+def still_limit(period: float) -> float:
+    """Time for which a source may stand still [s], from the usual time between samples [s]."""
+    return max(MAX_STILL, 4.0 * period)
+
+
+def _known(
+    raw: tuple[DataFinding, ...], leave_out: tuple[str, ...], unclear: tuple[str, ...]
+) -> Iterator[DataFinding]:
+    """The findings of the measurements, without those of sources that are left out.
+
+    A load in another unit exceeds the load cell's capacity only because of its unit.
+    """
+    for finding in raw:
+        of_cell = finding.source in ("the wrench", "the load cell")
+        own = {*(WRENCH_CHANNELS if of_cell else local_channels(finding.source))}
+        by_unit = CAPACITY in finding.fact and own & {*unclear}
+        if not own <= {*leave_out} and not by_unit:
+            yield finding
 
 
 def _units(
     samples: Samples, geometry: SocketGeometry, mass: float | None, leave_out: tuple[str, ...]
-) -> Iterator[DataFinding]:
-    """Units and frames, which show in sizes: of single channels, the force and the rotation."""
+) -> Iterator[tuple[DataFinding, tuple[str, ...]]]:
+    """Units and frames, which show in sizes: of single channels, the force and the rotation.
+
+    Each finding comes with the names of the channels whose unit it doubts.
+    """
     try:
-        plausibility.require_units(samples, geometry)
+        plausibility.require_position(samples, geometry)
     except IdentificationError as error:
-        yield DataFinding("the units", error.fact, error.hint)
+        yield DataFinding("the units", error.fact, error.hint), (POSE,)
+    wrong = [*plausibility.wrong_units(samples, geometry, leave_out)]
+    for channels, excess in wrong:
+        yield DataFinding("the units", excess.fact, excess.hint), channels
+    if wrong:
         return
     proposed = plausibility.find_implausible(samples, geometry)
     implausible = [each for each in proposed if each.channel not in leave_out]
     for source, group in groupby(implausible, lambda each: each.channel.rpartition(".")[0]):
         own = [*group]  # of the wrench, then of each cluster
-        channels = dict.fromkeys(each.channel for each in own)
+        channels = tuple(dict.fromkeys(each.channel for each in own))
         hint = "check that moments are in N m and forces in N, and the load cell's channels"
         if source:
             hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
-        yield DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
+        finding = DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
+        yield finding, () if source else MOMENT_CHANNELS
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
+    moment = finite_quantile(np.linalg.norm(samples.wrench[:, MOMENTS], axis=1), 0.95)
+    counted = not {*MOMENT_CHANNELS} & {*leave_out}
+    if counted and size > plausibility.MIN_LOAD and 0.0 < moment < MIN_LEVER * size:
+        finding = DataFinding(
+            "the wrench",
+            f"its moment of {moment:.2g} N m is that of its force of {size:.3g} N at a lever of"
+            f" {1e3 * moment / size:.2g} mm",
+            "check that moments are in N m (kN m?), and the load cell's matrix",
+        )
+        yield finding, MOMENT_CHANNELS
     weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
-        yield DataFinding(
+        finding = DataFinding(
             "the wrench",
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
-            "check that forces are in N, and the mass",
+            "check that forces are in N (kgf, kN?), and the mass",
         )
+        yield finding, (LOAD,)
     angle = finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
     if angle > MAX_ROTATION:
-        yield DataFinding(
+        finding = DataFinding(
             "the limb pose",
             f"the limb turns by {np.degrees(angle):.0f} deg in the socket",
             "check the order of the quaternion (x, y, z, w), and the marker bodies",
         )
+        yield finding, (POSE,)
 
 
 @dataclass(frozen=True)
@@ -155,10 +260,12 @@ class _Courses:
         samples: The samples, without outliers and left-out channels, with rotations since the mean
             attitude.
         geometry: The socket.
+        load_in_doubt: Whether the size of the load is reported already.
     """
 
     samples: Samples
     geometry: SocketGeometry
+    load_in_doubt: bool = False
 
     @cached_property
     def load(self) -> FloatArray:
@@ -206,8 +313,18 @@ class _Courses:
     @cached_property
     def load_is_too_small(self) -> bool:
         """Whether the load changes far less than the force on the clusters."""
-        limit = max(LOCAL_SHARE[1] * self.load_change, MIN_LOAD_CHANGE / 5)
+        tiles = [self.geometry.clusters[name] for name in self.samples.clusters]
+        share = self.geometry.areas[tiles].sum() / self.geometry.areas.sum()
+        limit = max(LOCAL_SHARE[1] * share * self.load_change, MIN_LOAD_CHANGE / 3)
         return bool(np.isfinite(self.load).any()) and self.clusters_change > limit
+
+    @cached_property
+    def bears_too_little(self) -> bool:
+        """Whether the clusters bear many times what the load cell measures."""
+        borne = finite_quantile(self.pressing.clip(0.0).sum(axis=1), 0.95)
+        force = force_magnitude(self.samples.wrench)
+        known = bool(np.isfinite(force).any())
+        return known and borne > max(MAX_BORNE * finite_quantile(force, 0.95), MIN_LOAD)
 
     @cached_property
     def load_shows_others(self) -> bool:
@@ -245,9 +362,96 @@ class _Courses:
         return {name: lag for name, lag in found.items() if abs(lag) > limit}
 
     @cached_property
+    def motion_lags(self) -> dict[str, float]:
+        """Delays that the limb's motion beside the load shows, by source, as in `lags` [s].
+
+        They are of the pose behind the moments, or else of single clusters behind the pose. Tissue
+        creeps under the load, hardly beside it, so that they may be short.
+        """
+        if self.pose_lag:
+            return {"the limb pose": self.pose_lag}
+        if self.motion is None or self.wrong_axes or self.exchanged:
+            return {}
+        if not self.is_pushed or not self.is_regular:
+            return {}
+        motion, period = self.motion, usual_period(self.motion.time)
+        found = {}
+        limit = max(MAX_CLUSTER_LAG, 2.5 * period)
+        sources = zip(self.samples.clusters, motion.indentation.T, motion.pressing.T, strict=True)
+        for name, tile, own in sources:
+            if _correlation(tile, own) > 1.0 - MIN_CLUSTER_GAIN:
+                continue  # no delay can fit clearly better
+            lag, fit, at_once = _best_lag(tile, own, period)
+            # One that moves against its tile at once is reversed rather than late.
+            clear = fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN, -at_once)
+            if clear and abs(lag) > limit:
+                found[name] = lag
+        return found
+
+    @cached_property
+    def pose_lag(self) -> float:
+        """Delay of the limb's rotation behind the moments, beside the load; 0 if it is short [s].
+
+        While hands push around the limb, a delay looks like turned axes: what fits better counts.
+        """
+        if self.motion is None or not self.is_regular:
+            return 0.0
+        motion, period = self.motion, usual_period(self.motion.time)
+        moment, rotation = motion.moment[:, :2], motion.rotation[:, :2]
+        if motion.agreement > 1.0 - MIN_LAG_GAIN:
+            return 0.0  # no delay can fit clearly better
+        lag, fit, at_once = _best_lag(moment, rotation, period)
+        gain = max(0.0, motion.axes_of_moment()[1])
+        clear = fit > max(at_once + gain + MIN_LAG_GAIN, MIN_POSE_FIT)
+        return lag if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period) else 0.0
+
+    @cached_property
     def are_simultaneous(self) -> bool:
         """Whether sources can be compared with the load sample by sample."""
         return self.load_shows_others and not self.lags
+
+    @cached_property
+    def motion(self) -> LimbMotion | None:
+        """The limb's motion beside the load; None if it is not known, or not at the same times."""
+        if self.sign_note or self.lags or self.sinking < MIN_SINKING:
+            return None
+        return limb_motion(self.samples, self.geometry)
+
+    @cached_property
+    def exchanged(self) -> tuple[int, ...]:
+        """Columns of two clusters that fit each other's tiles; empty if all fit their own."""
+        if self.motion is None or self.wrong_axes or self.pose_lag:
+            return ()
+        first, second, gain = self.motion.exchanged()
+        least = MIN_EXCHANGE_GAIN[0 if self.is_pushed else 1]
+        return (first, second) if gain > least else ()
+
+    @cached_property
+    def is_pushed(self) -> bool:
+        """Whether the limb is pushed around so much that its motion beside the load is clear."""
+        if self.motion is None or self.motion.agreement < MIN_AGREEMENT:
+            return False
+        return float(self.motion.moment[:, :2].std(axis=0).max()) > MIN_PUSH
+
+    @cached_property
+    def is_regular(self) -> bool:
+        """Whether the motion is known at nearly all samples, as a search for delays needs."""
+        return self.motion is not None and len(self.motion.time) >= 0.9 * len(self.samples)
+
+    @cached_property
+    def wrong_axes(self) -> str:
+        """The horizontal axes with which rotation and moment agree, in words; empty as they are."""
+        if self.motion is None or self.pose_lag:
+            return ""
+        name, gain = self.motion.axes_of_moment()
+        return name if gain > MIN_AXES_GAIN else ""
+
+    @cached_property
+    def sinking(self) -> float:
+        """Cosine between the limb's motion under load and the axis; 1 if it is not known [-]."""
+        if not self.are_simultaneous:
+            return 1.0
+        return _along(self.samples.position, self.sense * self.load, self.proximal)
 
     @cached_property
     def causes(self) -> FloatArray:
@@ -259,13 +463,28 @@ class _Courses:
 
 def _small_load(courses: _Courses) -> Iterator[DataFinding]:
     """A wrench that changes far less than the forces on the clusters."""
-    if courses.load_is_too_small:
+    if courses.load_is_too_small and not courses.load_in_doubt:
         yield DataFinding(
             "the wrench",
             f"its force along the socket changes by {courses.load_change:.2g} N while those of the"
             f" clusters change by {courses.clusters_change:.2g} N",
-            "check that forces are in N and stresses in Pa, the load cell's channels, and the"
-            " calibration",
+            "check that forces are in N (kgf, kN?) and stresses in Pa, the load cell's channels,"
+            " and the calibration",
+        )
+
+
+def _little_load(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench of far less force than the clusters bear, though it may hardly change."""
+    if courses.load_in_doubt or courses.load_is_too_small:
+        return
+    if courses.bears_too_little:
+        force = finite_quantile(force_magnitude(courses.samples.wrench), 0.95)
+        borne = finite_quantile(courses.pressing.clip(0.0).sum(axis=1), 0.95)
+        yield DataFinding(
+            "the wrench",
+            f"its force of {force:.2g} N is a small part of the {borne:.2g} N on the clusters",
+            "check that forces are in N (kgf, kN?) and stresses in Pa, the load cell's channels,"
+            " and the calibration",
         )
 
 
@@ -294,14 +513,62 @@ def _late_sources(courses: _Courses) -> Iterator[DataFinding]:
     for name, lag in courses.lags.items():
         how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
         yield DataFinding(name, how, "check the clocks and the delays of the sources")
+    for name, lag in courses.motion_lags.items():
+        against = "the moments of the load cell" if name == "the limb pose" else "the limb's motion"
+        how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against {against}"
+        yield DataFinding(name, how, "check the clocks and the delays of the sources")
+
+
+def _horizontal_axes(courses: _Courses) -> Iterator[DataFinding]:
+    """Horizontal axes of the load cell or of the marker bodies that do not agree."""
+    if not courses.wrong_axes or courses.motion is None:
+        return
+    axes = courses.wrong_axes
+    of_pose = OPPOSITE[axes]
+    gain = courses.motion.axes_misfit() - courses.motion.axes_misfit(AXES[of_pose])
+    fact = f"the limb turns as if the horizontal axes of the moments were {axes}"
+    if axes == NEGATED:
+        fact += ", or the moments negated"
+    if gain > MIN_POSE_GAIN:  # the clusters agree with the load cell
+        yield DataFinding(
+            "the limb pose",
+            f"moments and clusters fit it as if its horizontal axes were {of_pose}",
+            "check the registration of the marker bodies in socket.yaml",
+        )
+    elif gain < -MIN_POSE_GAIN:  # the clusters agree with the pose
+        yield DataFinding(
+            "the wrench",
+            fact,
+            "check the mounting of the load cell, the rows and signs of its matrix, and the signs"
+            " of its moments",
+        )
+    else:
+        yield DataFinding(
+            "the wrench or the limb pose",
+            fact,
+            "check the mounting of the load cell, the signs of its moments, and the registration of"
+            " the marker bodies",
+        )
+
+
+def _exchanged_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Two clusters, each of which follows the motion of the limb at the other's tile."""
+    if courses.exchanged:
+        first, second = (courses.samples.clusters[column] for column in courses.exchanged)
+        yield DataFinding(
+            f"{first} and {second}",
+            "each is pressed as the limb's motion presses the other's tile",
+            "check whether their cables or names are exchanged, and their tiles in socket.yaml",
+        )
 
 
 def _reversed_clusters(courses: _Courses) -> Iterator[DataFinding]:
     """Clusters that are pressed less while the limb is loaded more."""
     if not courses.are_simultaneous:
         return
-    for name, value in zip(courses.samples.clusters, courses.sense * courses.follows, strict=True):
-        if value < REVERSED:
+    follows = courses.sense * courses.follows
+    for column, (name, value) in enumerate(zip(courses.samples.clusters, follows, strict=True)):
+        if value < REVERSED and column not in courses.exchanged:
             yield DataFinding(
                 name,
                 f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
@@ -316,9 +583,10 @@ def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
     follows = courses.sense * courses.follows
     noises = channel_noise(courses.samples).local_forces[:, 2]
     sources = zip(courses.samples.clusters, follows, courses.pressing.T, noises, strict=True)
-    for name, value, force, noise in sources:
+    for column, (name, value, force, noise) in enumerate(sources):
         if (
-            REVERSED <= value < MIN_CORRELATION
+            column not in courses.exchanged
+            and REVERSED <= value < MIN_CORRELATION
             and _explained(force, courses.causes) < MIN_EXPLAINED
             and np.nanstd(force) > MIN_SIGNAL * noise  # else it is hardly loaded
         ):
@@ -331,32 +599,34 @@ def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
 
 def _motion_across(courses: _Courses) -> Iterator[DataFinding]:
     """A limb that does not sink along the socket as it is loaded."""
-    if not courses.are_simultaneous:
-        return
-    along = _along(courses.samples.position, courses.sense * courses.load, courses.proximal)
-    if along < MIN_SINKING:
+    if courses.sinking < MIN_SINKING:
         yield DataFinding(
             "the limb pose",
             "the limb does not sink as it is loaded: it moves at"
-            f" {np.degrees(np.arccos(along)):.0f} deg to the socket's axis",
+            f" {np.degrees(np.arccos(courses.sinking)):.0f} deg to the socket's axis",
             "check the axes and the registration of the marker bodies",
         )
 
 
 _RULES_OF_COURSES = (
     _small_load,
+    _little_load,
     _negated_wrench,
     _small_clusters,
     _late_sources,
+    _horizontal_axes,
+    _exchanged_clusters,
     _reversed_clusters,
     _idle_clusters,
     _motion_across,
 )
 
 
-def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+def _time_series(
+    samples: Samples, geometry: SocketGeometry, load_in_doubt: bool = False
+) -> Iterator[DataFinding]:
     """Sizes, signs and lags, and whether each source follows the load."""
-    courses = _Courses(samples, geometry)
+    courses = _Courses(samples, geometry, load_in_doubt)
     return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 
@@ -415,7 +685,7 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         yield DataFinding("the trigger", fact, "see 'info' for the gaps, and the trigger's rate")
     # An averaged or extrapolated pose still varies in its last digits.
     poses = samples.pose[samples.has_pose]
-    limit = max(MAX_STILL, 4.0 * period)
+    limit = still_limit(period)
     if period * max(map(_longest_run, poses.T)) > limit:
         yield DataFinding(
             "the limb pose", "it stands still", "check the cameras and the bodies' names"
@@ -430,7 +700,7 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         at_end, end = max((np.mean(known == end), end) for end in (known.min(), known.max()))
         unit = channel_unit(name)
         if still > limit:
-            fact, hint = f"it does not change for {still:.1f} s", "check the sensor and its driver"
+            fact, hint = f"it does {STILL} {still:.1f} s", "check the sensor and its driver"
         elif at_end > MAX_CLIPPED:
             fact = f"{100.0 * at_end:.0f} % of its values are at one end, {end:.3g} {unit}"
             hint = "check the sensor's range: it is clipped"
@@ -440,6 +710,88 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         else:
             continue
         yield DataFinding(name, fact, hint)
+
+
+def _spikes(samples: Samples) -> Iterator[DataFinding]:
+    """Single values within the range that leave the course of their channel and come back.
+
+    A short load is felt by several sources, a spike by one. The samples are without outliers and
+    left-out channels.
+    """
+    values = {"the wrench": samples.wrench, "the limb pose": samples.pose}
+    forces = samples.trusted_forces
+    values |= {name: forces[:, column] for column, name in enumerate(samples.clusters)}
+    regular = ~gaps(samples.stamps)
+    found = {name: _departures(own, regular) for name, own in values.items()}
+    sharp = {name: ratios.max(axis=1) for name, (_, ratios) in found.items()}
+    size = np.repeat([finite_quantile(np.linalg.norm(samples.wrench[:, of], axis=1), 0.95)
+                      for of in GROUPS], 3)  # fmt: skip
+    least = {"the wrench": SPIKE_SHARE * size, "the limb pose": np.repeat(POSE_SPIKES, 3)}
+    for name, (departures, ratios) in found.items():
+        others = np.max([own for other, own in sharp.items() if other != name], axis=0)
+        single = (ratios > MIN_SPIKE) & (departures > least.get(name, np.zeros(1)))
+        single &= (others < FELT_SPIKE)[:, None]
+        rows = np.flatnonzero(single.any(axis=1))
+        if len(rows) < LEAST_SPIKES:
+            continue
+        row, column = np.unravel_index((single * ratios).argmax(), ratios.shape)
+        size_in_words = _in_words(name, int(column), float(departures[row, column]))
+        yield DataFinding(
+            name,
+            f"{len(rows)} single values jump and come back, such as {size_in_words} at"
+            f" {samples.time[row]:.2f} s, which no other source feels",
+            "check cables, connectors and shields, or the markers",
+        )
+
+
+def _in_words(source: str, column: int, size: float) -> str:
+    """A channel of a source with a size in its unit."""
+    if source == "the limb pose":
+        axis = "xyz"[column % 3]
+        turns = f"the rotation about {axis} by {np.degrees(size):.2g} deg"
+        return turns if column > 2 else f"{axis} by {1e3 * size:.2g} mm"
+    names = WRENCH_CHANNELS if source == "the wrench" else LOCAL_CHANNELS
+    return f"{names[column]} by {size:.3g} {channel_unit(names[column])}"
+
+
+def _departures(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """How far each value lies beyond both its neighbours, on one side of both.
+
+    Args:
+        values: Channels of one source, shape (N, k), in their units.
+        regular: Which of the steps between samples are of the usual length, shape (N - 1,).
+
+    Returns:
+        The distances from the nearer neighbour in the channels' units, 0 between the neighbours or
+        where one is missing, and the same relative to the usual ones or the noise [-], (N, k) each.
+    """
+    steps = np.where(regular[:, None], np.diff(values, axis=0), np.nan)
+    into, out = steps[:-1], -steps[1:]
+    sizes = np.zeros(values.shape)
+    beyond = into * out > 0.0
+    sizes[1:-1][beyond] = np.minimum(np.abs(into), np.abs(out))[beyond]
+    usual = np.quantile(sizes, _USUAL_DEPARTURE, axis=0)
+    noise = np.nan_to_num(deviations(values, regular))
+    scale = np.maximum(usual, noise)
+    return sizes, np.divide(sizes, scale, out=np.zeros(sizes.shape), where=scale > 0.0)
+
+
+def _jumps(samples: Samples) -> Iterator[DataFinding]:
+    """Poses that jump from one sample to the next and stay there."""
+    known = samples.pose[samples.has_pose]
+    time = samples.time[samples.has_pose]
+    for which, part, limit in zip("qr", (known[:, :3], known[:, 3:]), POSE_JUMPS, strict=True):
+        jumped = np.linalg.norm(np.diff(part, axis=0), axis=1)
+        if len(jumped) and jumped.max() > limit:
+            row = int((jumped > limit).argmax())  # the first one
+            size = jumped[row]
+            words = f"{1e3 * size:.3g} mm" if which == "q" else f"{np.degrees(size):.3g} deg"
+            yield DataFinding(
+                "the limb pose",
+                f"it jumps by {words} at {time[row + 1]:.2f} s",
+                "check whether markers are exchanged or hidden, and whether a body was moved",
+            )
+            return
 
 
 def _filled(course: FloatArray, time: FloatArray) -> FloatArray:
@@ -493,20 +845,36 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 
     The period is the time between values [s].
     """
+    best, fit, at_once = _best_lag(reference, course, period)
+    return best if fit > max(at_once + MIN_LAG_GAIN, MIN_LAG_FIT) else 0.0
+
+
+def _best_lag(
+    reference: FloatArray, course: FloatArray, period: float
+) -> tuple[float, float, float]:
+    """Delay of a series behind another with the highest correlation.
+
+    Args:
+        reference: The other series, shape (N,), or (N, k) of vectors with mean zero.
+        course: The series, of the same shape.
+        period: Time between the values [s].
+
+    Returns:
+        The delay [s], the correlation with it, and that without a delay [-]; zeros if unknown.
+    """
     step = max(1, round(LAG_STEP / period))
     reference, course, period = reference[::step], course[::step], step * period
     limit = min(round(SEARCHED_LAG / period), len(course) // 3)
     found = {
-        lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)],
-                          reference[max(-lag, 0) : len(course) - max(lag, 0)])
+        lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)].ravel(),
+                          reference[max(-lag, 0) : len(course) - max(lag, 0)].ravel())
         for lag in range(-limit, limit + 1)
     }  # fmt: skip
     found = {lag: value for lag, value in found.items() if np.isfinite(value)}
     if 0 not in found:
-        return 0.0
+        return 0.0, 0.0, 0.0
     best = max(found, key=lambda lag: (found[lag], -abs(lag)))
-    clear = found[best] > max(found[0] + MIN_LAG_GAIN, 0.5)
-    return best * period if clear else 0.0
+    return best * period, found[best], found[0]
 
 
 def _longest_run(values: FloatArray) -> int:

@@ -76,16 +76,32 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     fewer than `MIN_DIFFERENCES` usable differences.
     """
     usual = ~gaps(samples.stamps)
-    regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), no gap inside
-    sensors = np.array([_deviation(y, regular) for y in samples.trusted_values.T])
+    sensors = deviations(samples.trusted_values, usual)
     motion = samples.centred().pose
-    pose = np.array([_deviation(y, regular) for y in motion.T])
+    pose = deviations(motion, usual)
+    regular = _without_gap(usual)
     return ChannelNoise(
         wrench=sensors[:6],
         local_forces=sensors[6:].reshape(-1, 3),
         pose=pose,
         pose_correlation=_correlation(motion, regular, pose),
     )
+
+
+def deviations(values: FloatArray, usual: BoolArray) -> FloatArray:
+    """Noise of k channels, in their units, shape (k,); NaN where it cannot be estimated.
+
+    Args:
+        values: The channels, shape (N, k).
+        usual: Which of the steps between samples are of the usual length, shape (N - 1,).
+    """
+    regular = _without_gap(usual)
+    return np.array([_deviation(y, regular) for y in values.T])
+
+
+def _without_gap(usual: BoolArray) -> BoolArray:
+    """Which groups of four samples hold no gap, (max(N - 3, 0),), from (N - 1,) usual steps."""
+    return np.asarray(usual[:-2] & usual[1:-1] & usual[2:])
 
 
 def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:

@@ -321,18 +321,43 @@ def require_units(
             of the values of a channel exceed what a person can apply.
     """
     require_position(samples, geometry)
-    values = _counted(samples, leave_out)
+    for _, error in wrong_units(samples, geometry, leave_out):
+        raise error
+
+
+def wrong_units(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], IdentificationError]]:
+    """Sources whose values are in another unit: the moments, the forces, and each cluster.
+
+    Args:
+        samples: N samples.
+        geometry: The socket, whose tiles limit the forces.
+        leave_out: Names of channels that may exceed their limits, such as `distal.Fx`.
+
+    Yields:
+        The channels of a source, all of which have its unit, and the error about the first one that
+        exceeds its limit.
+    """
+    sizes = _usual_sizes(_counted(samples, leave_out))
     limits = channel_limits(geometry, samples.clusters)
-    for name, size, limit in zip(samples.channels, _usual_sizes(values), limits, strict=True):
-        if size > limit:
-            unit = channel_unit(name)
-            likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]
-            raise IdentificationError(
-                f"{name} reaches {size:.3g} {unit} in a quarter of the samples, but no person"
-                f" applies more than {limit:.3g} {unit}",
-                f"it is likely in {likely}: divide it by 1000 (or leave it out with --leave-out"
-                f" {name})",
-            )
+    for first in range(0, len(samples.channels), 3):
+        own = samples.channels[first : first + 3]
+        places = slice(first, first + 3)
+        for name, size, limit in zip(own, sizes[places], limits[places], strict=True):
+            if size > limit:
+                unit = channel_unit(name)
+                likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]
+                yield (
+                    own,
+                    IdentificationError(
+                        f"{name} reaches {size:.3g} {unit} in a quarter of the samples, but no"
+                        f" person applies more than {limit:.3g} {unit}",
+                        f"it is likely in {likely}: divide it by 1000 (or leave it out with"
+                        f" --leave-out {name})",
+                    ),
+                )
+                break
 
 
 def require_load(samples: Samples, wrench_counts: BoolArray) -> None:

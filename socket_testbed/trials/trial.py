@@ -60,6 +60,7 @@ class _Kept:
         samples: The samples; None before the first reading.
         fingerprint: The fingerprint; empty before the first reading.
         sound: The samples without outliers, by left-out channels.
+        readings: The problems that the measurements show.
         problems: The problems in the data, by left-out channels.
         notes: The notes as keys, in their order, without duplicates.
     """
@@ -67,6 +68,7 @@ class _Kept:
     samples: Samples | None = None
     fingerprint: str = ""
     sound: dict[tuple[str, ...], Samples] = field(default_factory=dict)
+    readings: tuple[DataFinding, ...] = ()
     problems: dict[tuple[str, ...], tuple[DataFinding, ...]] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
 
@@ -152,10 +154,20 @@ class Trial:
             CalibrationError: If the calibration lacks a cluster of the trial, or an unloaded span
                 holds too few readings.
         """
+        recorded = self._recorded()
+        return self._corrected(self._remade(recorded))
+
+    def _recorded(self) -> synchronise.Measurements:
+        """The measurements as recorded, with the bridges' ratios if there are any."""
         with self.open() as bag:
-            measured = synchronise.read_measurements(bag, self._notify, self.remade)
+            name = required_topics(bag).get(topics.LOAD_CELL_RAW, "")
+            more = {*self.remade} | ({topics.LOAD_CELL_RAW} if bag.counts.get(name) else set())
+            measured = synchronise.read_measurements(bag, self._notify, more)
         self._kept.fingerprint = _fingerprint(measured)
-        measured = self._without_strangers(measured)
+        return self._without_strangers(measured)
+
+    def _remade(self, measured: synchronise.Measurements) -> synchronise.Measurements:
+        """The measurements, recomputed where `remade` says so."""
         where = str(self.path)
         if topics.LOAD_CELL_RAW in self.remade:
             given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -164,13 +176,16 @@ class Trial:
                 measured, recorded, given, self.tare, where, self._notify
             )
         if self._other_markers and measured.markers:
-            measured = reprocess.refit_poses(
-                measured, self.geometry, self._other_markers, where, self._notify
-            )
+            bodies = self._other_markers
+            measured = reprocess.refit_poses(measured, self.geometry, bodies, where, self._notify)
+        return measured
+
+    def _corrected(self, measured: synchronise.Measurements) -> synchronise.Measurements:
+        """The measurements, corrected for drift."""
         if not self.unloaded:
             return measured
         self._require_clusters(measured.clusters)
-        least_force = self.estimator.plateau.least_force
+        least_force, where = self.estimator.plateau.least_force, str(self.path)
         return reprocess.correct_measurements(
             measured, self.unloaded, self.calibration, least_force, where, self._notify
         )
@@ -259,8 +274,19 @@ class Trial:
         kept = self._kept.problems
         if left not in kept:
             mass = self.metadata.mass
-            kept[left] = check_data(self.samples(), self.geometry, mass, left)
+            samples = self.samples()
+            raw = (*self._kept.readings, *self._reports)
+            kept[left] = check_data(samples, self.geometry, mass, left, raw=raw)
         return kept[left]
+
+    @cached_property
+    def _reports(self) -> tuple[DataFinding, ...]:
+        """What nodes reported as an ERROR during the recording, see `check_reports`."""
+        from socket_testbed.trials.raw_check import check_reports
+
+        stamps = self.samples().stamps
+        with BagReader(self.path) as bag:
+            return tuple(check_reports(bag, (int(stamps[0]), int(stamps[-1]))))
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
@@ -290,8 +316,17 @@ class Trial:
 
     def measurements_and_samples(self) -> tuple[synchronise.Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
-        measured = self.measurements()
+        from socket_testbed.trials.raw_check import check_readings  # not needed by a replay
+
+        recorded = self._recorded()
+        remade = self._remade(recorded)
+        measured = self._corrected(remade)
         self._require_clusters(measured.clusters)
+        cell = self._parameters.load_cell_node
+        if self.load_cell_file is not None:
+            cell = reprocess.read_load_cell(self.load_cell_file)
+        judged = replace(recorded, wrench=remade.wrench)
+        self._kept.readings = check_readings(judged, self.geometry, cell)
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
         if self._kept.samples is None:
             self._kept.samples = samples

@@ -16,7 +16,7 @@ from socket_testbed.__main__ import VERBS
 from socket_testbed.identification import data_check, plausibility, pressure, problem
 from socket_testbed.nodes import estimator_node, recorder_node
 from socket_testbed.settings.identification import ForceMapSettings
-from socket_testbed.trials import events
+from socket_testbed.trials import events, raw_check
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, TOPICS, Topic
 
 DOCS = CHECKOUT / "docs"
@@ -104,9 +104,17 @@ NUMBERS = {
         f"retries after {clocks._MIN_WAIT} s, then after up to {clocks._MAX_WAIT} s",
         f"no data at the recorder for {recorder_node._SILENCE_TIMEOUT:g} s",
         f"correlation below {data_check.REVERSED}; sound",
-        f"clusters vary {data_check.LOCAL_SHARE[1]:g} times as much as the load",
-        f"{data_check.LOAD_RANGE[1]:g} body weights",
+        f"varies by {data_check.LOCAL_SHARE[1]:g} times their share of the load (by area), or is"
+        f" {data_check.MAX_BORNE:g} times the load",
+        f"a lever below {1e3 * data_check.MIN_LEVER:g} mm",
+        f"below {data_check.LOAD_RANGE[0]:g} or above {data_check.LOAD_RANGE[1]:g} body weights",
         f"a lag above {data_check.MAX_LAG} s",
+        f"a lag above {data_check.MAX_POSE_LAG} s",
+        f"a single cluster, above {data_check.MAX_CLUSTER_LAG} s",
+        f"correlate by {data_check.MIN_AXES_GAIN} more in other axes",
+        f"an input with {raw_check.NOISE_RATIO:g} times the noise",
+        f"{raw_check.MAX_REPEATED:.0%} of the readings of a source repeat",
+        f"{1e3 * data_check.POSE_JUMPS[0]:g} mm or {data_check.POSE_JUMPS[1]} rad",
         f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
         f"normal force {data_check.MAX_INNOVATION} sigma off",
         f"{data_check.MAX_MISSING:.0%} missing, no change for {data_check.MAX_STILL:g} s,"

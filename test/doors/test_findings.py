@@ -105,8 +105,8 @@ CASES: dict[str, tuple[str, Callable[[np.ndarray], object], str, str]] = {
         "their forces change by 0.0035 N while the load does by 21 N",
     ),
     "strong clusters": (
-        *("local_forces", times(ALL, ALL, Z, factor=1.9), "the wrench"),
-        "its force along the socket changes by 21 N while those of the clusters change by 66 N",
+        *("local_forces", times(ALL, ALL, Z, factor=2.1), "the wrench"),
+        "its force along the socket changes by 21 N while those of the clusters change by 73 N",
     ),
     "late clusters": (
         *("local_forces", shifted(LATE, ALL, ALL, Z), "the clusters"),

@@ -419,7 +419,7 @@ def test_the_worst_problem_comes_first(graph: Graph, source: LiveSource) -> None
 
 
 def test_the_estimator_s_finding_is_said_plainly(graph: Graph, source: LiveSource) -> None:
-    graph.report("/lab/estimator_node", 1, "data: look at distal: it is noisy; check its cable")
+    graph.report("/lab/estimator_node", 1, "data: check distal: it is noisy; check its cable")
     assert data_card(source)["words"] == "distal: it is noisy; check its cable"
 
 

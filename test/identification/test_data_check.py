@@ -95,7 +95,7 @@ def test_a_damaged_copy_says_what_to_look_at(opened, scenario, source, parts, da
     arrays = {part: damage(getattr(samples, part)) for part in parts}
     found = check_data(replace(samples, **arrays), trial.geometry)
     assert any(source in finding.source for finding in found), found
-    assert all(str(finding).startswith("data: look at ") for finding in found)
+    assert all(str(finding).startswith("data: check ") for finding in found)
 
 
 def test_a_finding_hides_no_unrelated_one(opened) -> None:

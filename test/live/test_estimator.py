@@ -332,9 +332,9 @@ def on_request(bench: Bench) -> Bench:
 def test_data_is_checked_every_two_seconds(on_request: Bench) -> None:
     ((samples, future),) = on_request.fitter.checks
     assert len(samples) == 9 and not on_request.fitter.requests
-    future.set_result(("data: look at Fx: it stands still", "data: look at the mass"))
+    future.set_result(("data: check Fx: it stands still", "data: check the mass"))
     level, text = on_request.estimator.state
-    assert level == 1 and text.startswith("data: look at Fx: it stands still (and 1 more); no mod")
+    assert level == 1 and text.startswith("data: check Fx: it stands still (and 1 more); no mod")
 
 
 def test_a_fit_on_request_takes_all_samples(on_request: Bench, fit: Fit) -> None:

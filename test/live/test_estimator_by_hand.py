@@ -221,9 +221,9 @@ def test_data_is_checked_every_two_seconds(
 
 def test_findings_are_a_warning(online: OnlineEstimator, fitter: Fitter) -> None:
     send(online, 0.0)
-    fitter.asked[0][1].set_result(("data: look at Fx", "data: look at Fy"))
+    fitter.asked[0][1].set_result(("data: check Fx", "data: check Fy"))
     words = "no model yet: waiting for steady data or estimator/fit"
-    assert online.state == (WARN, f"data: look at Fx (and 1 more); {words}")
+    assert online.state == (WARN, f"data: check Fx (and 1 more); {words}")
     online.trigger(0)  # time jumps back
     assert online.state == (OK, words)
 

@@ -62,7 +62,7 @@ def by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     scene.stand_in(monkeypatch)
 
 
-FINDING = "data: look at Fx"
+FINDING = "data: check Fx"
 FAILED = "no fit: only 9 samples: record more"
 WAITING = "no model yet: waiting for steady data or estimator/fit"
 

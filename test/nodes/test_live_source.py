@@ -247,7 +247,7 @@ def test_good_nodes_are_counted(source: LiveSource, lab: Lab) -> None:
 
 
 def test_the_estimator_s_look_leads_the_card(source: LiveSource, lab: Lab) -> None:
-    lab.say("/lab/estimator_node", 1, "data: look at Fx: it stands still; no model yet")
+    lab.say("/lab/estimator_node", 1, "data: check Fx: it stands still; no model yet")
     (data,) = source.now(None)["cards"]
     assert data["words"].startswith("Fx: it stands still") and data["value"] == "check"
 

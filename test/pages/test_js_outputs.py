@@ -163,7 +163,7 @@ def test_cards_show_value_interval_and_words_in_order() -> None:
         ],
         [
             "card bad",
-            [["H3", "", "Data"], ["STRONG", "", "look at clock"], ["P", "", "it stands still"]],
+            [["H3", "", "Data"], ["STRONG", "", "check clock"], ["P", "", "it stands still"]],
         ],
     ]
 

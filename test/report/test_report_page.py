@@ -272,7 +272,7 @@ def test_the_verb_names_its_page(reported: Spoilt):
 
 
 def test_wrong_data_are_named_before_the_report(reported: Spoilt):
-    found = f"data: look at {NASTY}: {NASTY}.Fx: the "
+    found = f"data: check {NASTY}: {NASTY}.Fx: the "
     assert f"note: {found}" in reported.err
     assert found in reported.page.text
 

@@ -174,7 +174,7 @@ def test_without_any_marker_there_is_no_position() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:data. look at")
+@pytest.mark.filterwarnings("ignore:data. check")
 def test_the_paper_s_variants_come_near_its_figures(tmp_path) -> None:
     """Published, RMSE without -> with offsets: moments 1.69 -> 0.44 N m, Mx 3.99 -> 0.95 N m,
     forces 5.94 -> 5.25 N, clusters 90 -> 3.8 N."""

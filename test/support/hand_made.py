@@ -163,5 +163,5 @@ def hand_cards() -> list[dict[str, Any]]:
             "interval": "20.0 to 95.0",
             "words": "distal, <base>",
         },
-        {"title": "Data", "value": "look at clock", "words": "it stands still", "bad": True},
+        {"title": "Data", "value": "check clock", "words": "it stands still", "bad": True},
     ]

@@ -35,6 +35,7 @@ _LENGTHS = {  # settings that are lists: length and hint
 }
 _MAX_CONDITION = 1e6  # [-]; of the maker's matrix with normalised rows
 
+_MOMENTS_FIRST = [3, 4, 5, 0, 1, 2]  # from the maker's Fx Fy Fz Mx My Mz
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # fraction of the window after the trigger
 # Variance of a line's value at the trigger relative to that of the mean, 1 + 12 d^2 with d windows
@@ -60,10 +61,9 @@ class Bridges:
 
     def __init__(self, settings: LoadCellSettings) -> None:
         check_settings(settings)
-        order = [3, 4, 5, 0, 1, 2]  # from the maker's Fx Fy Fz Mx My Mz to moments first
         self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
-        self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[order]
-        self.full_scale: FloatArray = np.array(settings.full_scale)[order]
+        self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[_MOMENTS_FIRST]
+        self.full_scale: FloatArray = full_scale_of(settings)
         self._gain = settings.gain
         self._scale: FloatArray = (
             1e3 * np.array(settings.sign) / settings.excitation / np.array(settings.amplifier_gain)
@@ -110,22 +110,36 @@ class Bridges:
         return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
 
     def overload(self, peak: FloatArray) -> tuple[int, str]:
-        """Check absolute values of [M; F], shape (6,) [N m, N], for overload.
+        """Check absolute values of [M; F], shape (6,) [N m, N], for overload: see `overload`."""
+        return overload(peak, self.full_scale)
 
-        Returns:
-            The level: WARN above 80 % of an axis's full scale, ERROR above the full scale,
-            otherwise OK; and fact with hint in one line, empty if OK.
-        """
-        share = peak / self.full_scale
-        worst = int(share.argmax())
-        # In steps, so that the message is stable while the load varies.
-        tenths = math.floor(10.0 * share[worst] + 1e-9)
-        level = ERROR if share[worst] > 1.0 else WARN if share[worst] > 0.8 else OK
-        if level == OK:
-            return OK, ""
-        limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {_UNITS[worst]}"
-        hint = "unload the cell" if level == ERROR else "do not load it further"
-        return level, f"{WRENCH_CHANNELS[worst]} is above {limit}: {hint}"
+
+def overload(peak: FloatArray, full_scale: FloatArray) -> tuple[int, str]:
+    """Check absolute values of a wrench for overload.
+
+    Args:
+        peak: Largest absolute values of [M; F], shape (6,) [N m, N].
+        full_scale: Full scale of [M; F], shape (6,) [N m, N].
+
+    Returns:
+        The level: WARN above 80 % of an axis's full scale, ERROR above the full scale, otherwise
+        OK; and fact with hint in one line, empty if OK.
+    """
+    share = peak / full_scale
+    worst = int(share.argmax())
+    # In steps, so that the message is stable while the load varies.
+    tenths = math.floor(10.0 * share[worst] + 1e-9)
+    level = ERROR if share[worst] > 1.0 else WARN if share[worst] > 0.8 else OK
+    if level == OK:
+        return OK, ""
+    limit = f"{10 * tenths} % of its full scale of {full_scale[worst]:g} {_UNITS[worst]}"
+    hint = "unload the cell" if level == ERROR else "do not load it further"
+    return level, f"{WRENCH_CHANNELS[worst]} is above {limit}: {hint}"
+
+
+def full_scale_of(settings: LoadCellSettings) -> FloatArray:
+    """Full scale of [M; F] by the settings, shape (6,) [N m, N]; settings without it have none."""
+    return np.array(settings.full_scale)[_MOMENTS_FIRST]
 
 
 def in_words(wrench: FloatArray) -> str:

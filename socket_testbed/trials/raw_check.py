@@ -1,0 +1,255 @@
+"""Defects that only a trial's measurements show, before calibration, map and fit hide them.
+
+Three good inputs hide a dead one in the stress of their cluster, and the noise of one marker body
+hides that the other one stands still. So every source is judged by what it measured: the inputs
+of a cluster, the bridges of the load cell, and each marker body.
+
+- A source that stands still for longer than two seconds and four samples has stopped.
+- A source that repeats its previous reading has sent old values. Readings in coarse steps repeat by
+  chance, and come back later: these do not count.
+- A declared cluster without a message, and a load above the capacity of the load cell, are faults
+  whatever else was measured.
+- What the nodes reported as an ERROR during the recording is told again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray, gaps, runs, usual_period
+from socket_testbed.drivers import ERROR
+from socket_testbed.drivers.load_cell import load_cell
+from socket_testbed.errors import fact_and_hint
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.data_check import (
+    LEAST_CHECKED,
+    STILL,
+    DataFinding,
+    still_limit,
+)
+from socket_testbed.identification.noise import deviations
+from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.trials import topics
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.cdr import decode, stamp_of
+from socket_testbed.trials.synchronise import Measurements
+
+MAX_REPEATED = 0.1  # [-]; share of readings that repeat the one before; sound 0.0
+NOISE_RATIO = 8.0  # [-]; of an input's noise to that of its cluster's others; sound up to 1.6
+MIN_INPUT_NOISE = 0.01  # [pF]; sound 0.002
+_MAX_RETURNS = 1.2  # [-]; runs of equal readings per distinct reading; coarse steps have more
+_OTHERS = ("estimator_node", "calibration_node", "view_node", "replay_node")  # measure nothing
+_OVERLOADED = 3  # samples beyond the capacity for an overload; fewer may be spikes
+_LONGEST_REPETITION = 20  # repetitions in a row; more stand still
+
+
+def check_readings(
+    measured: Measurements, geometry: SocketGeometry, cell: LoadCellSettings
+) -> tuple[DataFinding, ...]:
+    """Defects that the measurements of a trial show, source by source.
+
+    Args:
+        measured: The measurements, N of them, with the bridges' ratios if they were recorded.
+        geometry: The socket, which declares the clusters.
+        cell: The settings of the load cell; without a full scale no overload is found.
+    """
+    found = [*_silent_clusters(measured, geometry), *_overload(measured, cell)]
+    if len(measured.stamps) >= LEAST_CHECKED:
+        found += [
+            *_stopped_clusters(measured),
+            *_noisy_inputs(measured),
+            *_stopped_bodies(measured),
+        ]
+        found += [*_stopped_bridges(measured), *_repetitions(measured)]
+    return tuple(found)
+
+
+def check_reports(bag: BagReader, stamps: tuple[int, int]) -> Iterator[DataFinding]:
+    """What the nodes of the testbed reported as an ERROR while a trial was recorded.
+
+    Nodes that only compute from the measurements do not count.
+
+    Args:
+        bag: The open bag; without diagnostics nothing is found.
+        stamps: First and last stamp of the trial's samples [ns]: earlier and later reports are
+            left out.
+
+    Yields:
+        A finding per node, with its most frequent report.
+    """
+    first, last = stamps
+    names = [name for name, kind in bag.types.items() if name.endswith(topics.DIAGNOSTICS.name)
+             and kind == topics.DIAGNOSTICS.type]  # fmt: skip
+    reports: dict[str, list[tuple[int, str]]] = {}
+    for raw in bag.messages(names) if names else ():
+        if not _may_hold_error(raw.data):
+            continue
+        try:
+            message = decode(raw.data, raw.type)
+        except Exception:  # the library may raise any exception; somebody else's message
+            continue
+        stamp = stamp_of(message)
+        for status in message.status:
+            node = status.name.rpartition("/")[2]
+            if int(status.level) == ERROR and first <= stamp <= last and node not in _OTHERS:
+                reports.setdefault(node, []).append((stamp, status.message))
+    for node, own in reports.items():
+        texts = [text for _, text in own]
+        fact, hint = fact_and_hint(max(dict.fromkeys(texts), key=texts.count))
+        begin, end = (1e-9 * (stamp - first) for stamp in (own[0][0], own[-1][0]))
+        when = f"at {begin:.0f} s" if len(own) == 1 else f"from {begin:.0f} to {end:.0f} s"
+        yield DataFinding(
+            node or "/diagnostics",
+            f"it reported an ERROR {when}: {fact or hint}",
+            hint if fact else "see docs/faults.md",
+        )
+
+
+def _may_hold_error(data: bytes) -> bool:
+    """Whether serialised diagnostics may hold an ERROR; a quick look at a single status."""
+    if data[1:2] != b"\x01" or len(data) < 16:
+        return True
+    after_frame = 16 + int.from_bytes(data[12:16], "little")
+    count = 4 + -(-(after_frame - 4) // 4) * 4
+    several = int.from_bytes(data[count : count + 4], "little") != 1
+    return several or data[count + 4 : count + 5] == bytes([ERROR])
+
+
+def _silent_clusters(measured: Measurements, geometry: SocketGeometry) -> Iterator[DataFinding]:
+    """Clusters that the socket declares and no message contains."""
+    for name in geometry.clusters:
+        if name not in measured.clusters:
+            yield DataFinding(
+                name,
+                "socket.yaml declares it, and no message contains it",
+                "check its bus and its name in testbed.yaml, or take it out of socket.yaml",
+            )
+
+
+def _overload(measured: Measurements, cell: LoadCellSettings) -> Iterator[DataFinding]:
+    """A wrench beyond the capacity of the load cell, judged as the running node judges it."""
+    known = measured.wrench[np.isfinite(measured.wrench).all(axis=1)]
+    if len(cell.full_scale) != len(measured.wrench.T) or not len(known):
+        return
+    # Single values may be spikes.
+    peak = np.sort(np.abs(known), axis=0)[-min(_OVERLOADED, len(known))]
+    level, text = load_cell.overload(peak, load_cell.full_scale_of(cell))
+    if level == ERROR:
+        fact, _ = fact_and_hint(text)
+        hint = "check the cell's calibration after an overload, and full_scale in testbed.yaml"
+        yield DataFinding("the load cell", fact, hint)
+
+
+def _stopped_clusters(measured: Measurements) -> Iterator[DataFinding]:
+    """Inputs of clusters that stand still."""
+    for column, name in enumerate(measured.clusters):
+        readings = measured.capacitance[:, column]
+        stopped = [_still_for(measured, readings[:, [channel]]) for channel in range(4)]
+        dead = [channel for channel, span in enumerate(stopped) if span]
+        if not dead:
+            continue
+        inputs = f"input {dead[0]}" if len(dead) == 1 else f"inputs {', '.join(map(str, dead))}"
+        does = "does" if len(dead) == 1 else "do"
+        span = min(stopped[channel] for channel in dead)
+        yield DataFinding(
+            name,
+            f"its {inputs} {does} {STILL} {span:.1f} s",
+            "check the plug and the wires of the input: its stress is wrong without it",
+        )
+
+
+def _noisy_inputs(measured: Measurements) -> Iterator[DataFinding]:
+    """Inputs far noisier than the other ones of their cluster."""
+    usual = ~gaps(measured.stamps)
+    for column, name in enumerate(measured.clusters):
+        noise = deviations(measured.capacitance[:, column], usual)
+        known = noise[np.isfinite(noise)]
+        if len(known) < len(noise):  # missing, or standing still: reported elsewhere
+            continue
+        worst = int(noise.argmax())
+        others = float(np.median(np.delete(noise, worst)))
+        if noise[worst] > max(NOISE_RATIO * others, MIN_INPUT_NOISE):
+            ratio = noise[worst] / others
+            yield DataFinding(
+                name,
+                f"the noise of its input {worst} is {noise[worst]:.2g} pF, {ratio:.0f} times that"
+                " of its others",
+                "check the shield, the plug and the wires of the input",
+            )
+
+
+def _stopped_bridges(measured: Measurements) -> Iterator[DataFinding]:
+    """Bridges of the load cell that stand still."""
+    for bridge, ratios in enumerate(measured.ratios.T, start=1):
+        if span := _still_for(measured, ratios[:, None]):
+            yield DataFinding(
+                "the load cell",
+                f"the ratio of bridge {bridge} does {STILL} {span:.1f} s",
+                "check the bridge and its wiring: every axis of the wrench needs it",
+            )
+
+
+def _stopped_bodies(measured: Measurements) -> Iterator[DataFinding]:
+    """Marker bodies that stand still, whatever the noise of the other one does."""
+    for body in topics.POSES:
+        if span := _still_for(measured, getattr(measured, body)):
+            yield DataFinding(
+                "the limb pose",
+                f"the pose of the {body} does {STILL} {span:.1f} s",
+                f"check the cameras' view of the {body}'s markers, and the body's name",
+            )
+
+
+def _repetitions(measured: Measurements) -> Iterator[DataFinding]:
+    """Sources whose readings often repeat the one before."""
+    sources = {"the wrench": measured.wrench}
+    for column, name in enumerate(measured.clusters):
+        sources[name] = measured.capacitance[:, column]
+    shares = {name: _repeated(values) for name, values in sources.items()}
+    shares["the limb pose"] = max(_repeated(getattr(measured, body)) for body in topics.POSES)
+    for name, share in shares.items():
+        if share > MAX_REPEATED:
+            yield DataFinding(
+                name,
+                f"{100.0 * share:.0f} % of its readings repeat the one before",
+                "its source is slower than the trigger or sends old values: check its rate",
+            )
+
+
+_RULES = (_stopped_clusters, _noisy_inputs, _stopped_bridges, _stopped_bodies, _repetitions)
+
+
+def _still_for(measured: Measurements, values: FloatArray) -> float:
+    """Longest time for which all k columns of a source, (N, k), stand still; 0 if it is short [s].
+
+    Missing readings interrupt nothing: what is the same before and after them stood still.
+    """
+    known = np.isfinite(values).all(axis=1)
+    if known.sum() < LEAST_CHECKED:
+        return 0.0
+    time, kept = measured.time[known], values[known]
+    equal = (np.diff(kept, axis=0) == 0.0).all(axis=1)
+    spans = [float(time[end] - time[start]) for start, end in runs(equal)]
+    longest = max(spans, default=0.0)
+    return longest if longest > still_limit(usual_period(measured.time)) else 0.0
+
+
+def _repeated(values: FloatArray) -> float:
+    """Share of the readings, (N, k), that repeat the one before in single steps [-].
+
+    It is 0 for values in coarse steps, which come back after others, and for standing still.
+    """
+    kept = values[np.isfinite(values).all(axis=1)]
+    if len(kept) < LEAST_CHECKED:
+        return 0.0
+    equal = (np.diff(kept, axis=0) == 0.0).all(axis=1)
+    if equal.mean() <= MAX_REPEATED:
+        return 0.0
+    own_runs = len(kept) - int(equal.sum())
+    if own_runs > _MAX_RETURNS * len(np.unique(kept, axis=0)):
+        return 0.0
+    short = runs(equal)
+    counted = sum(int(end - start) for start, end in short if end - start <= _LONGEST_REPETITION)
+    return counted / len(kept)

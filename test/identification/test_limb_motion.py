@@ -1,0 +1,271 @@
+"""The limb's motion beside the load: whose axes are wrong, which clusters are exchanged or late."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import scene
+from support.problems import make_samples
+
+from socket_testbed.calibration.model import read_calibration
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.data_check import DataFinding, check_data
+from socket_testbed.identification.limb_motion import AXES, OPPOSITE, limb_motion
+from socket_testbed.samples import Samples
+from socket_testbed.simulation.trial import SimulatedTrial, simulate, write_simulated_trial
+from socket_testbed.trials.trial import Trial
+
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))
+ALL = slice(None)
+
+
+@pytest.fixture(scope="module")
+def simulated() -> SimulatedTrial:
+    """Pushes, leaning and twists, then a hold: 60 s at 4 Hz."""
+    calibration = read_calibration(packaged("config", "calibration.yaml"))
+    return simulate(GEOMETRY, calibration, "protocol", 60.0, 4.0, 3)
+
+
+@pytest.fixture(scope="module")
+def trial(simulated, tmp_path_factory: pytest.TempPathFactory) -> Trial:
+    path = tmp_path_factory.mktemp("sound") / "trial"
+    write_simulated_trial(simulated, path)
+    return Trial(path)
+
+
+def turn(values: np.ndarray, axes: np.ndarray, *places: int) -> np.ndarray:
+    """Vectors whose x and y, in columns from each place on, have other axes."""
+    values = values.copy()
+    for place in places:
+        values[:, place : place + 2] = values[:, place : place + 2] @ axes.T
+    return values
+
+
+def late(values: np.ndarray, seconds: float) -> np.ndarray:
+    """Later by so many seconds, with the first ones in reverse before it: nothing stands still."""
+    shift = round(4 * seconds)
+    return np.concatenate([values[shift:0:-1], values[:-shift]])
+
+
+def spiked(values: np.ndarray, size: float, column: int) -> np.ndarray:
+    values = values.copy()
+    values[[30, 77, 150], column] += size * np.array([1.0, -1.0, 1.0])
+    return values
+
+
+def test_a_sound_trial_is_good(trial: Trial) -> None:
+    assert trial.problems() == ()
+
+
+# --- through the files of a trial
+
+
+def of_wrench(change: Callable[[np.ndarray], np.ndarray]) -> Callable:
+    return lambda trial: replace(trial, wrench=change(trial.wrench))
+
+
+def of_clusters(change: Callable[[dict], dict]) -> Callable:
+    return lambda trial: replace(
+        trial, capacitance={**trial.capacitance, **change(trial.capacitance)}
+    )
+
+
+def exchanged(one: str, other: str) -> Callable:
+    return of_clusters(lambda read: {one: read[other], other: read[one]})
+
+
+WRITTEN: dict[str, tuple[Callable, str, str]] = {
+    **{
+        name.replace(" ", "-"): (
+            of_wrench(lambda wrench, axes=axes: turn(wrench, axes, 0, 3)),
+            "the wrench",
+            f"as if the horizontal axes of the moments were {name}",
+        )
+        for name, axes in AXES.items()
+    },
+    "negated-moments": (
+        of_wrench(lambda wrench: wrench * np.repeat([-1.0, 1.0], 3)),
+        "the wrench",
+        "turned by 180 degrees, or the moments negated",
+    ),
+    "kilonewton-metres": (
+        of_wrench(lambda wrench: wrench * np.repeat([1e-3, 1.0], 3)),
+        "the wrench",
+        "at a lever of 0.0",
+    ),
+    "late-wrench": (
+        of_wrench(lambda wrench: late(wrench, 1.0)),
+        "the limb pose",
+        "early by 1.0 s against the moments of the load cell",
+    ),
+    "exchanged-1-2": (
+        exchanged("brim_lateral", "mid_anterior"),
+        "brim_lateral and mid_anterior",
+        "as the limb's motion presses the other's tile",
+    ),
+    "exchanged-2-3": (
+        exchanged("mid_anterior", "posterior_distal"),
+        "mid_anterior and posterior_distal",
+        "as the limb's motion presses the other's tile",
+    ),
+    "exchanged-3-4": (
+        exchanged("posterior_distal", "distal"),
+        "posterior_distal and distal",
+        "as the limb's motion presses the other's tile",
+    ),
+    "late-cluster": (
+        of_clusters(lambda read: {"mid_anterior": late(read["mid_anterior"], 5.0)}),
+        "mid_anterior",
+        "late by 5.",
+    ),
+    "spikes-of-force": (
+        of_wrench(lambda wrench: spiked(wrench, 60.0, 3)),
+        "the wrench",
+        "3 single values jump and come back, such as Fx by ",
+    ),
+    "spikes-of-cluster": (
+        of_clusters(lambda read: {"distal": spiked(read["distal"], 0.3, 1)}),
+        "distal",
+        "single values jump and come back, such as F",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRITTEN)
+def test_a_written_trial_names_its_source(simulated, tmp_path: Path, case: str) -> None:
+    damage, source, fact = WRITTEN[case]
+    write_simulated_trial(damage(simulated), tmp_path / "trial")
+    (found,) = Trial(tmp_path / "trial").problems()
+    assert found.source == source and fact in found.fact, found
+
+
+# --- of poses, whose axes stand in socket.yaml
+
+
+def findings(samples: Samples) -> list[DataFinding]:
+    return [*check_data(samples, GEOMETRY)]
+
+
+@pytest.mark.parametrize("name", AXES, ids=[name.replace(" ", "-") for name in AXES])
+def test_wrong_axes_of_the_pose_are_named(trial: Trial, name: str) -> None:
+    samples = trial.samples().centred()
+    axes = AXES[name]
+    spoiled = replace(
+        samples,
+        position=turn(samples.position, axes, 0),
+        rotation=turn(samples.rotation, axes, 0),
+    )
+    (found,) = findings(spoiled)
+    assert found.source in ("the limb pose", "the wrench or the limb pose"), found
+    told = name if found.source == "the limb pose" else OPPOSITE[name]
+    assert f"were {told}" in found.fact
+
+
+def test_a_jump_of_the_pose_is_named(trial: Trial) -> None:
+    """Two exchanged markers turn the body by 0.3 rad: 17.2 degrees, less some motion."""
+    samples = trial.samples().centred()
+    rotation = samples.rotation.copy()
+    rotation[100:140, 2] += 0.3
+    (found,) = findings(replace(samples, rotation=rotation))
+    assert found.source == "the limb pose" and found.fact == "it jumps by 17.1 deg at 25.00 s"
+
+
+def test_spikes_of_the_pose_are_named(trial: Trial) -> None:
+    samples = trial.samples()
+    (found,) = findings(replace(samples, position=spiked(samples.position, 2e-3, 0)))
+    assert found.source == "the limb pose"
+    assert "3 single values jump and come back, such as x by 2 mm at" in found.fact
+
+
+def test_a_single_spike_is_no_finding(trial: Trial) -> None:
+    samples = trial.samples()
+    wrench = samples.wrench.copy()
+    wrench[77, 3] += 60.0
+    assert findings(replace(samples, wrench=wrench)) == []
+
+
+def test_a_load_that_others_feel_is_no_spike(trial: Trial) -> None:
+    samples = trial.samples()
+    wrench, forces = samples.wrench.copy(), samples.local_forces.copy()
+    wrench[[30, 77, 150], 5] -= 60.0
+    forces[[30, 77, 150], 3, 2] -= 8.0
+    spoiled = replace(samples, wrench=wrench, local_forces=forces)
+    assert not [each for each in findings(spoiled) if "come back" in each.fact]
+
+
+# --- units suppress what they cause, and nothing else
+
+
+def test_a_wrong_unit_hides_only_its_effects(trial: Trial) -> None:
+    samples = trial.samples()
+    moments = replace(samples, wrench=samples.wrench * np.repeat([1e3, 1.0], 3))
+    (unit,) = findings(moments)
+    assert unit.source == "the units" and "newton millimetres" in unit.hint
+    forces = moments.local_forces.copy()
+    forces[100:140, 2] = forces[100, 2]
+    sources = [each.source for each in findings(replace(moments, local_forces=forces))]
+    assert sources == ["the units", *(f"posterior_distal.{axis}" for axis in ("Fx", "Fy", "Fz"))]
+
+
+def test_millinewtons_of_all_channels_are_told_twice(trial: Trial) -> None:
+    samples = trial.samples()
+    found = findings(replace(samples, wrench=1e3 * samples.wrench))
+    assert [each.source for each in found] == ["the units", "the units"]
+
+
+def test_millimetres_are_told_once(trial: Trial) -> None:
+    samples = trial.samples()
+    (found,) = findings(replace(samples, position=1e3 * samples.position))
+    assert found.source == "the units" and "millimetres" in found.hint
+
+
+@pytest.mark.parametrize(("mass", "found"), [(80.0, True), (10.0, False)], ids=["kgf", "light"])
+def test_kilogram_force_is_named_by_the_weight(trial: Trial, mass: float, found: bool) -> None:
+    """277 N on a person of 80 kg, taken as 28 N: 0.036 weights; of 10 kg it would be 0.29."""
+    samples = trial.samples()
+    spoiled = replace(samples, wrench=samples.wrench / 9.81)
+    facts = [each.fact for each in check_data(spoiled, GEOMETRY, mass=mass)]
+    assert len(facts) == 1  # the clusters seem strong only because of the unit
+    assert ("0.036 weights of the stated 80 kg" in facts[0]) is found
+
+
+# --- by hand
+
+
+def scene_motion(change: Callable[[Samples], Samples] = lambda samples: samples):
+    geometry = scene.geometry()
+    limb, tiles = scene.limb(), [*geometry.clusters.values()]
+    forces = scene.forces_in_tiles(scene.STAMPS)[:, tiles].swapaxes(0, 1)
+    pose = np.hstack([limb.translation, limb.rotation_vector()])
+    named = dict(zip(geometry.clusters, forces, strict=True))
+    return limb_motion(change(make_samples(pose, scene.wrench(), named)).centred(), geometry)
+
+
+def test_springs_agree_with_themselves() -> None:
+    """The scene's limb turns by moment over stiffness, 2 and 3 N m/deg, about x and y."""
+    name, gain = scene_motion().axes_of_moment()
+    assert gain < -0.7 and name in AXES
+
+
+def test_forces_that_follow_the_load_say_nothing() -> None:
+    """All clusters of the scene follow the load exactly: nothing is left to compare."""
+    motion = scene_motion()
+    assert not motion.pressing.any()
+    assert motion.exchanged()[2] == 0.0 and motion.axes_misfit() == 0.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda s: s[:29], id="few"),
+        pytest.param(lambda s: replace(s, position=np.full_like(s.position, np.nan)), id="no-pose"),
+        pytest.param(
+            lambda s: replace(s, wrench=s.wrench * np.array([0.0, 1, 1, 1, 1, 1])), id="dead-moment"
+        ),
+    ],
+)
+def test_without_motion_nothing_is_known(change) -> None:
+    assert scene_motion(change) is None
