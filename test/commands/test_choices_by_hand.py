@@ -168,16 +168,15 @@ def test_nominal_bodies_of_hardware_are_noted(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    files = (Path("socket.yaml"), Path("calibration.yaml"))
-    monkeypatch.setattr(
-        live.bringup, "testbed_settings", lambda params, simulation: TestbedSettings()
-    )
+    files = (packaged("config", "socket.yaml"), packaged("config", "calibration.yaml"))
+    settings = TestbedSettings()
+    monkeypatch.setattr(live.bringup, "testbed_settings", lambda params, simulation: settings)
     monkeypatch.setattr(live.bringup, "testbed_files", lambda *given: files)
     socket = SimpleNamespace(registration=registration, bodies="they are nominal")
     monkeypatch.setattr(live, "read_socket", lambda path: socket)
     found = live.configured(simulation)
     assert isinstance(found, Testbed) and (found.geometry, found.calibration) == files
-    told = "note: socket.yaml: they are nominal\n" if noted else ""
+    told = f"note: {files[0]}: they are nominal\n" if noted else ""
     assert capsys.readouterr().err == told
 
 
