@@ -340,6 +340,24 @@ def test_many_outliers_have_this_line(monkeypatch: pytest.MonkeyPatch) -> None:
         "6 of 100 readings would be dropped, more than 5 %: these are not outliers: inspect them"
         " with --figure, and omit --drop-outliers"
     )
+    monkeypatch.setattr(fit, "find_outliers", lambda bench, wiring: outliers[:5])
+    made = calibrate.calibrate_bench(found, np.arange(4), True, True)
+    assert len(made.bench) == 95 and made.dropped and made.bench.line[0] == 7
+
+
+@pytest.mark.parametrize(("wrong", "found"), [(2.0e3, 0), (4.0e3, 1)], ids=["within 5 %", "beyond"])
+def test_a_small_residual_is_no_outlier(wrong: float, found: int) -> None:
+    """Without noise every deviation would be: 5 % of 60 kPa are 3 kPa, normal."""
+    stress = stresses(200)
+    stress[:2, 0] = 0.0, 60e3
+    readings = bench(felt(stress, [0, 1, 2, 3]), stress)
+    readings.stress[50, 0] = 30e3 + wrong
+    readings.capacitance[50] = felt(np.array([[30e3, *stress[50, 1:]]]), [0, 1, 2, 3])
+    outliers = fit.find_outliers(readings, np.arange(4))
+    assert len(outliers) == found
+    for outlier in outliers:
+        assert (outlier.row, outlier.place, outlier.axis) == (50, "bench.csv line 52", 0)
+        assert (outlier.known, outlier.fitted) == (34e3, pytest.approx(30e3))
 
 
 def test_a_cycle_that_must_stay_has_this_line() -> None:

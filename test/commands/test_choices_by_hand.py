@@ -15,6 +15,7 @@ from socket_testbed.commands import live, options, pages, results, terminal, tri
 from socket_testbed.commands.arguments import Parser, _help, add_options, release_paths
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import packaged
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.testbed import TestbedSettings

@@ -16,7 +16,7 @@ from support import meshes, scene, takes
 
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.regions import SocketAxis
+from socket_testbed.geometry.regions import SocketAxis, socket_axis
 from socket_testbed.socket_design import clusters, design, interior, motive, registration, scan_file
 from socket_testbed.socket_design.clusters import ClusterPlace, ClusterPlacement
 from socket_testbed.socket_design.squares import (
@@ -187,6 +187,24 @@ def test_a_cluster_may_be_29_millimetres_off() -> None:
     assert len(lay(far)[0]) == 1
     beyond = replace(far, centre=np.array([0.081, 0.0, 0.06]))
     assert "a: is 31 mm from the interior: " in line(lambda: lay(beyond))
+
+
+@pytest.mark.parametrize(
+    ("lower", "fits"), [(0.0149, True), (0.0151, False)], ids=["half an edge", "more"]
+)
+def test_a_tile_is_moved_by_half_an_edge(lower: float, fits: bool) -> None:
+    """From 114.8 mm, over the brim at 120 mm, to a square of 30 mm so much lower."""
+    place = asked("a", 0.0, 0.1148)
+    _, surroundings = around(0.03)
+    below = SurfacePoints(np.array([[0.05, 0.0, 0.1148 - lower]]), np.array([-X]), np.zeros(1))
+    others = squares_at(below, surroundings, 0.03)
+    call = lambda: clusters.lay_clusters(WALL, [place], others, surroundings, 0.008)  # noqa: E731
+    if not fits:
+        assert "no 30 mm tile fits within 15 mm of it" in line(call)
+        return
+    ((laid,),) = [call()[1]]
+    assert laid.moved == pytest.approx(lower, abs=2e-4)
+    assert str(laid).startswith("asked at (50.0, 0.0, 114.8), laid at (50.0, ")
 
 
 def test_a_wall_turned_away_has_no_place() -> None:
@@ -560,6 +578,29 @@ def test_a_missing_body_has_this_line() -> None:
     )
 
 
+NOTED: dict[str, tuple[Callable[[list[str]], list[str]], list[str]]] = {
+    "whole": (lambda lines: lines, []),
+    "newest": (changed("1.21", "1.25"), []),
+    "newer": (changed("1.21", "1.26"), ["the format version 1.26 is not known; read as 1.25"]),
+    "shorter": (lambda lines: lines[:-2], ["holds 23 frames, 25 were exported"]),
+    "cut": (
+        lambda lines: [*lines[:-1], lines[-1].rpartition(",")[0]],
+        [
+            "line {last}, the last, is cut short; it is left out",
+            "holds 24 frames, 25 were exported",
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NOTED)
+def test_a_take_has_these_notes(case: str, lines: list[str], tmp_path: Path) -> None:
+    change, notes = NOTED[case]
+    path = takes.write_lines(change(lines), tmp_path / "take.csv")
+    expected = tuple(f"{path}: {note.format(last=len(lines))}" for note in notes)
+    assert motive.read_motive_csv(path).notes == expected
+
+
 # --- landmarks and stillness
 
 
@@ -695,6 +736,31 @@ def test_a_body_with_few_markers_has_this_line() -> None:
             f"take.csv: a: the rigid body '{name}' has {shown}: export its markers, or name 3 to 8"
             " of them instead of 'rigid_body'"
         )
+
+
+@pytest.mark.parametrize(
+    ("height", "aside", "inside"),
+    [(-0.029, 0.0, True), (-0.031, 0.0, False), (0.029, 0.0, True), (0.031, 0.0, False),
+     (0.0, 0.029, True), (0.0, 0.031, False)],
+    ids=["low", "too low", "high", "too high", "aside", "too far aside"],
+)  # fmt: skip
+def test_a_limb_is_within_30_mm_of_the_tiles(height: float, aside: float, inside: bool) -> None:
+    """Beyond the lowest tile, the highest one, and the one farthest from the axis."""
+    geometry = scene.geometry()
+    axis = socket_axis(geometry)
+    up = axis.proximal
+    highest, widest = axis.heights(geometry.anchors).max(), axis.radii(geometry.anchors).max()
+    across = np.cross(up, Y)
+    across /= np.linalg.norm(across)
+    base = highest if height > 0.0 else 0.0
+    limb = axis.end + (base + height) * up
+    if aside:
+        limb = axis.end + 0.5 * highest * up + (widest + aside) * across
+    call = lambda: registration._require_limb_in_socket(limb, geometry, "l.yaml")  # noqa: E731
+    if inside:
+        call()
+        return
+    assert ", outside the socket: check the signs" in line(call)
 
 
 def test_a_limb_outside_has_this_line() -> None:
