@@ -70,6 +70,47 @@ def test_parameters_have_their_units() -> None:
 
 
 MEANINGS = {
+    "trigger.edge_within": "longest delay of the edge after the pulse [s]",
+    "trigger.pulse": "length of the pulse [s]",
+    "trigger.scheduling.lock_memory": (
+        "lock the node's memory, so that it is never swapped out [-]"
+    ),
+    "load_cell.device": "bus and chip select N.M of /dev/spidevN.M [-]",
+    "mocap.stale": "largest gap between frames around a trigger, and timeout for them [s]",
+    "mocap.data_port": "data port of Motive, for multicast [1]",
+    "estimator.identification.variant": (
+        "the law: stiffness as published, rigid by the limb's pose; _bias with offsets [-]"
+    ),
+    "estimator.identification.weights": (
+        "weights of the channels within a group: by size, by noise, or equal (raw) [-]"
+    ),
+    "estimator.identification.rest_position_limit": (
+        "largest distance of a rest position from q_ref, per axis [m]"
+    ),
+    "estimator.identification.gate_sharpness": "sharpness alpha of the gate [1/m]",
+    "estimator.plateau.force_change": (
+        "difference of the mean force that counts as a change of load [N]"
+    ),
+    "estimator.plateau.force_drift": "largest spread of the mean force within a plateau [N]",
+    "estimator.plateau.least_duration": "shortest plateau [s]",
+    "estimator.plateau.least_force": (
+        "smallest mean force; unloaded data gives no information on contact [N]"
+    ),
+    "estimator.window.least_samples": "steady samples before an automatic fit [1]",
+    "estimator.force_map.sinking": (
+        "forces of a bed of springs as the limb sinks, relative to normal_deviation [-]"
+    ),
+    "estimator.force_map.drag": (
+        "distal force on a tile by friction, relative to its normal force [-]"
+    ),
+    "estimator.force_map.spread": (
+        "deviation of log(size) of shear, preload, bed, sinking, rotation, bed_shear and"
+        " bed_variation [-]"
+    ),
+    "recorder.next.side": "side of the residual limb, left or right [-]",
+    "recorder.next.subject": "code of the subject, such as S01 [-]",
+    "recorder.everything": "also record the maps, which a replay recomputes [-]",
+    "replay.rate": "speed of the replay relative to the recording [-]",
     "trigger.simulation": "folder of a simulated world; empty: the hardware [-]",
     "trigger.scheduling.priority": "real-time priority; 0: none [1]",
     "trigger.scheduling.cores": "cores to run on; empty: all [1]",
