@@ -238,7 +238,8 @@ class _Cluster(Document):
 
     def __post_init__(self) -> None:
         if sorted(self.wiring) != [0, 1, 2, 3]:
-            raise FieldError(f"wiring is {list(self.wiring)}", "give each of 0, 1, 2, 3 once")
+            given = ", ".join(f"{number:g}" for number in self.wiring)
+            raise FieldError(f"wiring is [{given}]", "give each of 0, 1, 2, 3 once")
         for key in ("mean_range", "difference_range"):
             low, high = getattr(self, key)
             if low >= high:

@@ -163,7 +163,7 @@ def test_a_calibration_survives_its_file(tmp_path):
             *(
                 "wiring",
                 [0, 1, 1, 3],
-                "wiring is [0.0, 1.0, 1.0, 3.0]: give each of 0, 1, 2, 3 once",
+                "wiring is [0, 1, 1, 3]: give each of 0, 1, 2, 3 once",
             ),
             id="input-twice",
         ),
