@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import socket_testbed as st
+from socket_testbed.__main__ import VERBS, run
+from socket_testbed.commands.arguments import Parser, add_options
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -89,7 +91,8 @@ def plain(value: Any) -> Any:
         case np.ndarray():
             return value.tolist()
         case Path():
-            return str(value)
+            here = Path.cwd()
+            return str(value.relative_to(here) if value.is_relative_to(here) else value)
         case Settings():
             return value.to_flat()
         case Mapping():
@@ -122,3 +125,25 @@ def write_files(folder: Path) -> None:
     scene.model(folder / "model.json")
     scene.model(folder / "other.json", "other")
     (folder / "params.yaml").write_text(PARAMETERS)
+
+
+def call_verb(stage: Stage, *words: str) -> dict[str, Any]:
+    """What arrives of a verb's call, which ends with the code that a stand-in expects, or 0."""
+    stage.seen = {}
+    code = run([*words])
+    assert code == stage.seen.get("code", 0), words
+    return stage.seen
+
+
+def joined(verb: str, *options: Mapping[str, str]) -> list[str]:
+    """The words of a call: those of its options, of which later ones replace earlier ones."""
+    chosen: dict[str, str] = {}
+    for each in options:
+        chosen |= each
+    return [verb, *(word for words in chosen.values() for word in words.split())]
+
+
+def options_of_verb(verb: str) -> set[str]:
+    """The options that a verb's parser knows."""
+    add_options(parser := Parser(), f"commands.{VERBS[verb]}.{verb}")
+    return {action.dest for action in parser._actions} - {"help"}
