@@ -522,7 +522,7 @@ CASES: dict[str, Cases] = {
         "like_paper": (
             True,
             {"calibration": "calibration like_paper.yaml", "errors": LIKE_PAPER}
-            | {"stored calibration": plain(packaged("config", "like_paper.yaml"))},
+            | {"stored calibration": str(packaged("config", "like_paper.yaml"))},
         ),
         "replace": (True, {"checked for replacement": True, "replaced": True}),
         "geometry": (
@@ -777,7 +777,7 @@ def arrived(stage: Stage, name: str, options: dict[str, Any]) -> dict[str, Any]:
 def test_an_option_arrives(name: str, option: str, stage: Stage) -> None:
     value, expected, *beside = CASES[name][option]
     others = dict(*beside)
-    usual = arrived(stage, name, others)
+    usual = stage.usually([name, str(others)], lambda call: arrived(stage, name, others))
     found = arrived(stage, name, others | {option: value})
     assert changes(usual, found) == expected
 
@@ -791,3 +791,50 @@ def test_a_given_calibration_replaces_the_paper_s(stage: Stage) -> None:
 def test_clusters_beside_proposals_stay(stage: Stage) -> None:
     found = arrived(stage, "tile", {"clusters": "at.yaml", "place": 3})
     assert (found["clusters"], found["proposed"]) == ([FRONT], 3)
+
+
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "open_trial": {"tare": "recorded"},
+    "select_segment": {"specification": "plateau"},
+    "simulate": {
+        "scenario": "static_hold",
+        "tissue": "soft",
+        "like_paper": False,
+        "duration": 120.0,
+        "rate": 4.0,
+        "seed": 0,
+        "replace": False,
+    },
+    "fit": {"segment": "plateau"},
+    "evaluate": {"segment": "plateau", "pressure": False},
+    "pareto": {"segment": "plateau", "thetas": 101},
+    "paper": {"segment": "plateau", "thetas": 101, "weights": "raw", "frames": 1000},
+    "force_map": {"segment": "plateau"},
+    "pressure": {"segment": "plateau", "threshold": 5.0, "share": 0.5},
+    "cycles": {"by": "placed", "segment": "all"},
+    "compare": {"segment": "plateau", "threshold": 5.0, "by_region": False},
+    "validate": {"segment": "all"},
+    "export": {"segment": "all", "force_map": False, "pressure": False},
+    "write_report": {
+        "segment": "plateau",
+        "thetas": 101,
+        "command": "socket_testbed.write_report",
+        "replace": False,
+        "figures": False,
+        "width": 180,
+        "title": True,
+    },
+    "write_comparison": {"command": "socket_testbed.write_comparison"},
+    "view": {"port": 0, "host": "127.0.0.1"},
+    "calibrate": {"drop_outliers": False},
+    "tile": {"height": 0.08, "place": 0},
+    "register": {"force": False},
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_defaults_are_the_documented_ones(name: str) -> None:
+    parameters = inspect.signature(FUNCTIONS[name]).parameters.items()
+    nothing = (inspect.Parameter.empty, None, ())
+    own = {key: each.default for key, each in parameters if each.default not in nothing}
+    assert own == DEFAULTS.get(name, {})

@@ -18,8 +18,8 @@ from support.arrivals import (
     Stage,
     call_verb,
     changes,
+    defaults_of_verb,
     joined,
-    options_of_verb,
     plain,
     write_files,
 )
@@ -511,7 +511,7 @@ LIVE = {"demo", "doctor", "run", "record", "mark", "view", "replay"}  # in anoth
 @pytest.mark.parametrize("verb", sorted({*VERBS} - LIVE))
 def test_every_option_has_a_case(verb: str) -> None:
     batch = {*BATCH} if verb in ROWS else set()
-    assert options_of_verb(verb) == {*CASES[verb]} | batch
+    assert {*defaults_of_verb(verb)} == {*CASES[verb]} | batch
 
 
 @pytest.mark.parametrize(
@@ -520,7 +520,7 @@ def test_every_option_has_a_case(verb: str) -> None:
 def test_an_option_arrives(verb: str, option: str, stage: Stage) -> None:
     words, expected, *beside = CASES[verb][option]
     PREPARE[verb](stage)
-    usual = call_verb(stage, *joined(verb, LEAST[verb], *beside))
+    usual = stage.usually(joined(verb, LEAST[verb], *beside), lambda w: call_verb(stage, *w))
     given = words if isinstance(words, dict) else {option: words}
     found = call_verb(stage, *joined(verb, LEAST[verb], *beside, given))
     assert changes(usual, found) == expected
@@ -577,7 +577,7 @@ def test_an_option_arrives_in_a_batch(verb: str, option: str, stage: Stage) -> N
     PREPARE[verb](stage)
     batched(stage)
     least = LEAST[verb] | {"trial": "study", "output": "-o new"}
-    usual = call_verb(stage, *joined(verb, least))
+    usual = stage.usually(joined(verb, least), lambda w: call_verb(stage, *w))
     found = call_verb(stage, *joined(verb, least, {option: words}))
     if option not in NO_SETTINGS | {*BATCH}:
         value = vars(_parse(joined(verb, least, {option: words})))[option]

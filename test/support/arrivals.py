@@ -1,7 +1,7 @@
 """What of a call arrives at the next layer, and what an option changes of it."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +25,8 @@ estimator_node:
     plateau: {least_force: 30.0}
     force_map: {length: 0.05}
 """
+
+_USUAL: dict[tuple[str, ...], dict[str, Any]] = {}  # what arrives of calls, by folder and call
 
 
 @dataclass
@@ -59,6 +61,20 @@ class Stage:
 
         self.replace(place, kept)
 
+    def usually(
+        self, call: Sequence[str], arrives: Callable[[Sequence[str]], dict[str, Any]]
+    ) -> dict[str, Any]:
+        """What arrives of a call, which is made once for all tests of a module.
+
+        Args:
+            call: What identifies it, such as its words.
+            arrives: Makes the call.
+        """
+        key = str(Path.cwd()), *call
+        if key not in _USUAL:
+            _USUAL[key] = arrives(call)
+        return _USUAL[key]
+
     def watch(self, task: str) -> Callable[[int, int], None]:
         """Keep the progress of a task, see `Progress` of the API."""
         return lambda done, total: self.seen.update({task: (done, total)})
@@ -86,13 +102,15 @@ class Stage:
 
 
 def plain(value: Any) -> Any:
-    """A value that can be compared: arrays as lists, paths as texts, settings as dictionaries."""
+    """A value that can be compared: arrays as lists, settings as dictionaries, paths as texts.
+
+    Paths in the working folder are relative to it.
+    """
     match value:
+        case str() | Path():
+            return str(value).removeprefix(f"{Path.cwd()}/")
         case np.ndarray():
             return value.tolist()
-        case Path():
-            here = Path.cwd()
-            return str(value.relative_to(here) if value.is_relative_to(here) else value)
         case Settings():
             return value.to_flat()
         case Mapping():
@@ -143,7 +161,8 @@ def joined(verb: str, *options: Mapping[str, str]) -> list[str]:
     return [verb, *(word for words in chosen.values() for word in words.split())]
 
 
-def options_of_verb(verb: str) -> set[str]:
-    """The options that a verb's parser knows."""
+def defaults_of_verb(verb: str) -> dict[str, Any]:
+    """The options that a verb's parser knows, with their defaults; an empty list is None."""
     add_options(parser := Parser(), f"commands.{VERBS[verb]}.{verb}")
-    return {action.dest for action in parser._actions} - {"help"}
+    actions = [action for action in parser._actions if action.dest != "help"]
+    return {action.dest: None if action.default == [] else action.default for action in actions}
