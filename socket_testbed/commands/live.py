@@ -419,7 +419,7 @@ def replay(
         model: Predict with this model instead of fitting one.
     """
     opened = open_given(trial, **options)
-    report_data(opened)
+    report_data(opened, leave_out=options.get("leave_out"))
     replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
     if estimate:
         chosen = given(options, IdentificationSettings)
