@@ -83,7 +83,7 @@ class ClusterSettings(Settings):
         400, "conversions per chip, shared by its inputs; FDC1004: 100, 200, 400 [1/s]", 1, 100_000
     )
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
-    bus_timeout: float = fixed(0.05, "timeout of a transfer on a hanging bus [s]", 0.01, 1.0)
+    bus_timeout: float = fixed(0.02, "timeout of a transfer on a hanging bus [s]", 0.01, 1.0)
     latest: float = fixed(0.05, "later readings after the trigger count as missing [s]", 1e-3, 1.0)
     scheduling: SchedulingSettings = SchedulingSettings()
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import spidev
 from gpiod.line import Direction, Edge, Value
-from smbus2 import SMBus, i2c_msg
+from smbus2 import I2cFunc, SMBus, i2c_msg
 from support.clocks import FakeClock
 
 from socket_testbed.drivers import ERROR, OK, WARN, gpio
@@ -301,7 +301,7 @@ def test_the_timeout_is_set_in_whole_steps(
         asked.append((request, value))
         return 0
 
-    opened = SimpleNamespace(fd=None, close=lambda: None)
+    opened = SimpleNamespace(fd=None, funcs=I2cFunc.I2C, close=lambda: None)
     opened.open = lambda number: setattr(opened, "fd", null)
     monkeypatch.setattr(i2c, "SMBus", lambda: opened)
     monkeypatch.setattr(i2c, "ioctl", ioctl)
