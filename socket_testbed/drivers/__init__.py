@@ -68,7 +68,7 @@ def lock_device(file: int, name: str) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise DeviceBusyError(name, _described(_lock_holder(file))) from None
+        raise DeviceBusyError(name, described(_lock_holder(file))) from None
 
 
 def _lock_holder(file: int) -> int:
@@ -83,8 +83,12 @@ def _lock_holder(file: int) -> int:
     return 0
 
 
-def _described(process: int) -> str:
-    """A process in words, with the command that started it; empty for 0."""
+def described(process: int) -> str:
+    """A process in words, with the command that started it; empty for 0.
+
+    Args:
+        process: Its number; that of a node is replaced by the command that runs the testbed.
+    """
     if not process:
         return ""
     command = _command_line(process)

@@ -54,6 +54,9 @@ class TriggerSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.source == "gpio" and self.output_line == self.input_line:
+            fact = f"output_line and input_line are both {self.output_line}"
+            raise ConfigurationError(fact, "give two lines, and wire one to the other")
         if self.pulse * self.rate > MAX_PULSE:
             fact = f"a pulse of {self.pulse:g} s is too long for {self.rate:g} Hz"
             hint = f"set pulse to {1e-6 * int(1e6 * MAX_PULSE / self.rate):g} s or less"

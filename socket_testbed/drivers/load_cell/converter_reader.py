@@ -16,7 +16,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers import ERROR, OK, RECENT, WARN
-from socket_testbed.drivers.gpio import EdgeLine
+from socket_testbed.drivers.gpio import EdgeLine, lines_failed
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MAX_TARE, LoadCellSettings
@@ -328,8 +328,7 @@ class ConverterReader:
         try:
             return line.edges(0.0)
         except OSError as error:
-            fact = f"DRDY's line fails ({error.strerror or error})"
-            raise self._error(fact, "check that no other program holds it") from None
+            raise lines_failed(f"{self._name}: the edges of DRDY", error) from None
 
     def _take(self, frame: ads131m0x.ConverterFrame, end: float | None) -> None:
         """Store the conversion just read, with its end time [s]; None: unknown."""
