@@ -29,12 +29,9 @@ from socket_testbed.live import doctor, hardware
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.simulation.devices.failed_transfer import FailedTransfer
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
-from socket_testbed.simulation.devices.i2c import (
-    FailedTransfer,
-    SimulatedClusterHardware,
-    SimulatedI2cBus,
-)
+from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware, SimulatedI2cBus
 from socket_testbed.simulation.world import FAULTS
 
 OK, SATURATED, MISSING = Status.OK, Status.SATURATED, Status.MISSING

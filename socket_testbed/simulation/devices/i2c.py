@@ -7,7 +7,6 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial, reduce
 from operator import and_
 from types import MappingProxyType
@@ -19,6 +18,7 @@ from socket_testbed import clocks
 from socket_testbed.drivers import DeviceBusyError
 from socket_testbed.drivers.clusters.i2c import I2cBus, bus_opening_failed
 from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.simulation.devices.failed_transfer import FailedTransfer, next_failure
 
 _BROWN_OUT_PERIOD = 0.3  # [s]
 _BEYOND = 1e3  # [pF]; out of range of every chip
@@ -33,28 +33,6 @@ _MAX_MESSAGES, _MAX_LENGTH = 42, 8192  # of a transfer, and of a message [bytes]
 def no_answer() -> OSError:
     """The error for a transfer without acknowledgement, EREMOTEIO."""
     return OSError(errno.EREMOTEIO, "no acknowledgement (simulated)")
-
-
-@dataclass
-class FailedTransfer:
-    """A single transfer that fails, on a bus that is otherwise well.
-
-    Attributes:
-        number: The errno of its error, such as `errno.EIO`.
-        after: Number of transfers on the bus that still succeed before it [1].
-        executed: Whether the chips receive and answer it before the error, as when the controller
-            gives up at the last bit; otherwise nothing reaches the wires.
-        takes: Time until the error [s].
-    """
-
-    number: int
-    after: int = 0
-    executed: bool = False
-    takes: float = 0.0
-
-    def error(self) -> OSError:
-        """The error that the transfer raises."""
-        return OSError(self.number, f"{errno.errorcode[self.number]} (simulated)")
 
 
 class SimulatedChip:
@@ -233,7 +211,7 @@ class SimulatedI2cBus:
         if hangs_for:
             clocks.sleep(hangs_for)
             raise OSError(errno.ETIMEDOUT, "the bus hangs (simulated)")
-        failed = self._next_failure()
+        failed = next_failure(self._failing)
         if failed is not None and not failed.executed:
             raise failed.error()
         self._take_time(sum(1 + message.len for message in messages))
@@ -245,17 +223,6 @@ class SimulatedI2cBus:
     def is_gone(self) -> bool:
         """Whether its adapter was unplugged since it was opened."""
         return bool(self._gone)
-
-    def _next_failure(self) -> FailedTransfer | None:
-        """The failure of this transfer, if it is to fail, after the time that it takes."""
-        if not self._failing:
-            return None
-        if self._failing[0].after > 0:
-            self._failing[0].after -= 1
-            return None
-        failed = self._failing.pop(0)
-        clocks.sleep(failed.takes)
-        return failed
 
     def _carry_out(self, messages: Sequence[i2c_msg]) -> None:
         for message in messages:
