@@ -50,7 +50,7 @@ class DeviceBusyError(DeviceError):
 
     def __init__(self, name: str, user: str = "") -> None:
         by = f" ({user})" if user else ""
-        hint = "end it, or wait until it has ended; the device is opened again automatically"
+        hint = "end it first: Ctrl-C, or systemctl stop if it is a service"
         super().__init__(f"another program uses {name}{by}", hint)
 
 
