@@ -36,7 +36,7 @@ GONE = frozenset({errno.ENODEV, errno.ENOENT, errno.EBADF, errno.ESHUTDOWN})
 
 _LOCKS = Path("/proc/locks")
 _PROCESSES = Path("/proc")
-_OURS = "socket_testbed"  # the package in the command line of a node
+_PACKAGE, _NODES, _VERBS = "socket_testbed", "socket_testbed.nodes", "socket-testbed"
 _MAX_COMMAND = 60  # [characters]
 
 
@@ -91,26 +91,28 @@ def described(process: int) -> str:
     """
     if not process:
         return ""
-    command = _command_line(process)
-    if any(_OURS in word for word in command):
+    command = _command(process)
+    if command[:1] == [_NODES]:
         # A node is named by the command that the user has typed, which ends it as well.
         starter = _starter(process)
-        if any(word.endswith("socket-testbed") for word in _command_line(starter)):
-            process, command = starter, _command_line(starter)
-    while command and Path(command[0]).name.startswith("python"):
-        command = command[1:]
+        if (typed := _command(starter))[:1] in ([_VERBS], [_PACKAGE]):
+            process, command = starter, [_VERBS, *typed[1:]]
     if not command:
         return f"process {process}"
-    words = " ".join([Path(command[0]).name, *command[1:]])
+    words = " ".join(command)
     short = words if len(words) <= _MAX_COMMAND else f"{words[:_MAX_COMMAND]}..."
     return f"process {process}, {short}"
 
 
-def _command_line(process: int) -> list[str]:
+def _command(process: int) -> list[str]:
+    """The command of a process without its folder, and without Python if that runs it."""
+    words: list[str] = []
     with suppress(OSError):
-        words = (_PROCESSES / str(process) / "cmdline").read_bytes().split(b"\0")
-        return [word.decode(errors="replace") for word in words if word]
-    return []
+        given = (_PROCESSES / str(process) / "cmdline").read_bytes().split(b"\0")
+        words = [word.decode(errors="replace") for word in given if word]
+    if words and Path(words[0]).name.startswith("python"):
+        words = [word for k, word in enumerate(words) if k and (k > 1 or word != "-m")]
+    return [Path(words[0]).name, *words[1:]] if words else []
 
 
 def _starter(process: int) -> int:

@@ -318,7 +318,7 @@ class SimulatedClusterHardware:
         Raises:
             TypeError: The number is no int, as in smbus2.
             DeviceError: The bus is unplugged, was not closed since, or has no chips: it is missing.
-                A `DeviceBusyError` if it is open and locked.
+            DeviceBusyError: It is open and locked.
         """
         if not isinstance(number, int):
             raise TypeError(f"Unexpected type(bus)={type(number)}")
