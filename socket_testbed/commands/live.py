@@ -29,7 +29,8 @@ from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, c
 from socket_testbed.files import check_new_folder, is_held
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live import bringup
-from socket_testbed.live.doctor import examine, press_test
+from socket_testbed.live.doctor import REPORTING, examine, examine_running, press_test
+from socket_testbed.live.hardware import find_user
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.settings.acquisition import READY_TIMEOUT
@@ -135,17 +136,20 @@ def configured(
 def doctor(*, press: bool = False, **options: Any) -> None:
     """Check every connection, and say how to fix what fails.
 
+    While a testbed runs on these buses, it reports what the testbed says of them instead.
+
     Args:
         press: Ask for a press on each cluster instead, with the limb out of the socket, to check
             its position, its sign, and the load cell's direction.
 
     Raises:
-        DeviceError: A check failed.
+        DeviceError: A check failed, or another program uses the buses that --press needs.
     """
     simulation, faults = simulated(**options)
     testbed = configured(simulation, **options)
     _check_faults(faults, testbed)
     world = None
+    user = find_user(testbed.settings) if simulation is None else None
     with ExitStack() as stack:
         if simulation is not None:
             # The drivers run in this process, so the simulation follows its clock.
@@ -156,7 +160,14 @@ def doctor(*, press: bool = False, **options: Any) -> None:
                 world.faults.switch(name, value)
         if press:
             clusters = testbed.settings.cluster_node.names
+            if user is not None:
+                raise user
             findings = list(press_test(testbed, partial(_ask, world, clusters)))
+        elif user is not None:
+            from socket_testbed.nodes.controls import reported_states  # needs ROS
+
+            states = reported_states(REPORTING, testbed.namespace)
+            findings = examine_running(testbed, user, states)
         else:
             findings = examine(testbed)
     rows = [[f.what, "failed" if f.hint else "ok", f.found, f.hint] for f in findings]

@@ -2,16 +2,42 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias
 
 from socket_testbed import clocks
+from socket_testbed.drivers import GONE, DeviceBusyError, described, not_permitted
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 
 Use: TypeAlias = Literal["output", "rising", "falling"]  # of a line
+
+_CONSUMER = "socket_testbed"  # of the lines, for the kernel
+_GROUP = "gpio"
+
+
+class LinesError(DeviceError):
+    """Open lines cannot be used any more: close and open them again."""
+
+
+def lines_failed(what: str, error: OSError) -> LinesError:
+    """The error for lines that were open and fail now.
+
+    Args:
+        what: The lines, such as "the GPIO lines of pinctrl-rp1".
+        error: What using them raised; its `errno` tells the cause.
+    """
+    said = error.strerror or error
+    if error.errno in GONE | {errno.ENXIO}:
+        hint = "check the chip's overlay or adapter; it is opened again automatically"
+        return LinesError(f"{what} are gone ({said})", hint)
+    hint = "check the chip and its adapter; they are opened again automatically"
+    return LinesError(f"{what} cannot be used ({said})", hint)
 
 
 class EdgeLine(Protocol):
@@ -77,14 +103,14 @@ class GpiodLines:
             for line, use in uses.items()
         }
         path = _chip(gpiod, label, f"set {node}'s {setting}, or its {without}")
-        names = " and ".join(f"line {line}" for line in uses)
+        # At most 31 characters; another program that wants a line reads who has it.
+        consumer = f"{_CONSUMER} {os.getpid()}"
         try:
-            self._request = gpiod.request_lines(path, consumer="socket_testbed", config=lines)
+            self._request = gpiod.request_lines(path, consumer=consumer, config=lines)
         except PermissionError:
-            raise _not_permitted(path) from None
+            raise not_permitted(path, _GROUP) from None
         except (OSError, ValueError) as error:
-            fact = f"{path}: {names} cannot be used ({error})"
-            raise DeviceError(fact, "check that no other program or overlay uses them") from None
+            raise _lines_refused(gpiod, path, sorted(uses), node, error) from None
 
     def set(self, line: int, active: bool) -> None:
         """Set an output line.
@@ -107,7 +133,8 @@ class GpiodLines:
 
     def close(self) -> None:
         """Release the lines."""
-        self._request.release()
+        with suppress(OSError):  # the chip is gone
+            self._request.release()
 
 
 def _chip(gpiod: Any, label: str, hint: str) -> str:
@@ -125,16 +152,37 @@ def _chip(gpiod: Any, label: str, hint: str) -> str:
     if label in found:
         return found[label]
     if refused:
-        raise _not_permitted(refused)
+        raise not_permitted(refused, _GROUP)
     there = ", ".join(found) or "none"
     raise DeviceError(f"there is no GPIO chip '{label}' (there is {there})", hint)
 
 
-def _not_permitted(path: str) -> DeviceError:
-    return DeviceError(
-        f"{path}: permission denied",
-        "add the user to the group of this file (gpio or dialout), then log in again",
-    )
+def _lines_refused(
+    gpiod: Any, path: str, lines: list[int], node: str, error: OSError | ValueError
+) -> DeviceError:
+    """Why a chip refused its lines: a line that it does not have, or that somebody else uses."""
+    names = " and ".join(f"line {line}" for line in lines)
+    with suppress(OSError), gpiod.Chip(path) as chip:
+        count = chip.get_info().num_lines
+        for line in lines:
+            if line >= count:
+                return DeviceError(
+                    f"there is no line {line} on {path}, which has {count}",
+                    f"give 0 to {count - 1} in {node}'s settings",
+                )
+            held = chip.get_line_info(line)
+            if held.used:
+                return DeviceBusyError(f"line {line} of {path}", _user(held.consumer))
+    fact = f"{path}: {names} cannot be used ({getattr(error, 'strerror', None) or error})"
+    return DeviceError(fact, "check that no overlay uses them and that the chip knows edges")
+
+
+def _user(consumer: str) -> str:
+    """Who uses a line, from the name that it gave the kernel; our own name holds its process."""
+    name, _, process = consumer.partition(" ")
+    if name == _CONSUMER and process.isdigit():
+        return described(int(process))
+    return f"'{consumer}'" if consumer else ""
 
 
 class TimerTrigger:
@@ -179,8 +227,8 @@ class GpioTrigger:
         """Start a pulse; returns the time of its edge on the steady clock [s].
 
         Raises:
-            DeviceError: The lines cannot be used, or no edge followed within the settings'
-                `edge_within`: check the wire between the lines.
+            DeviceError: No edge followed within the settings' `edge_within`: check the wire between
+                the lines. A `LinesError` if the lines cannot be used any more.
         """
         settings = self._settings
         try:
@@ -200,10 +248,7 @@ class GpioTrigger:
                 # Check once more after the deadline: only the kernel's timestamp matters.
                 remaining = max(0.0, deadline - clocks.monotonic())
         except OSError as error:
-            raise DeviceError(
-                f"the GPIO lines cannot be used ({error.strerror or error})",
-                "check that no other program holds them",
-            ) from None
+            raise lines_failed(f"the GPIO lines of {settings.chip}", error) from None
         raise DeviceError(
             f"no edge on line {settings.input_line} within {settings.edge_within * 1e3:g} ms of"
             f" the pulse on line {settings.output_line}",

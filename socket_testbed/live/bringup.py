@@ -29,7 +29,7 @@ from socket_testbed.files import (
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.live.hardware import capacitive_chip
+from socket_testbed.live.hardware import capacitive_chip, require_free
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.fields import Settings
@@ -123,8 +123,18 @@ class Testbed:
         cluster_node = self.settings.cluster_node
         clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         load_cell.check_settings(self.settings.load_cell_node)
+        self._check_lines()
         if self.simulation is None:
             server_address(self.settings.mocap_node)
+
+    def _check_lines(self) -> None:
+        """Check that trigger and load cell use different lines of a chip."""
+        trigger, cell = self.settings.trigger_node, self.settings.load_cell_node
+        line = cell.data_ready_line
+        is_shared = trigger.source == "gpio" and trigger.chip == cell.data_ready_chip
+        if is_shared and line in {trigger.output_line, trigger.input_line}:
+            fact = f"load_cell_node: data_ready_line is {line}, a line of the trigger"
+            raise ConfigurationError(fact, "wire DRDY to a line of its own, or set it to -1")
 
     def nodes(self, folder: Path) -> list[GraphNode]:
         """The nodes of the testbed, in start order.
@@ -274,10 +284,16 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
 
     Returns:
         The simulated world; None on hardware.
+
+    Raises:
+        ConfigurationError: If the device settings do not fit together.
+        DeviceBusyError: If another program uses a bus of the testbed.
     """
     testbed.check_devices()
     world = None
-    if testbed.simulation is not None:
+    if testbed.simulation is None:
+        require_free(testbed.settings)
+    else:
         testbed, world = simulate_hardware(graph, testbed, testbed.simulation)
     graph.start_nodes(testbed.nodes(graph.folder))
     graph.keep_spare(full_namespace(testbed.namespace))

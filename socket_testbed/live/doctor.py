@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import re
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.drivers import ERROR
+from socket_testbed.drivers import ERROR, DeviceBusyError
 from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING, conversion_period
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
@@ -76,6 +76,32 @@ def examine(testbed: Testbed) -> list[Outcome]:
         except TestbedError as error:
             what = check.__name__.removeprefix("check_").replace("_", " ")
             outcomes.append(Outcome(what, error.fact, error.hint))
+    return outcomes
+
+
+def examine_running(
+    testbed: Testbed, user: DeviceBusyError, states: Mapping[str, tuple[int, str]]
+) -> list[Outcome]:
+    """Report the devices as the running testbed that uses them does, and check the computer.
+
+    Args:
+        testbed: The testbed as configured here.
+        user: Who uses its buses.
+        states: Level and message of each of its nodes, by name; those without are not running.
+    """
+    outcomes: list[Outcome] = []
+    for check in (check_kernel, check_scheduling):
+        outcomes.extend(check(testbed))
+    if not states:
+        return [*outcomes, Outcome("devices", user.fact, user.hint)]
+    outcomes.append(Outcome("devices", f"{user.fact}: its own reports follow"))
+    for node, what in REPORTING.items():
+        if node not in states:
+            hint = "end the other program, then call 'doctor' again"
+            outcomes.append(Outcome(what, f"no report from {node} of the running testbed", hint))
+            continue
+        level, message = states[node]
+        outcomes.append(_failure(what, message) if level else Outcome(what, message))
     return outcomes
 
 
@@ -229,6 +255,15 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
     check_load_cell,
     check_motion_capture,
 )
+
+
+# The nodes whose reports stand for the checks of their devices while a testbed runs:
+REPORTING = {
+    "trigger_node": "trigger",
+    "cluster_node": "clusters",
+    "load_cell_node": "load cell",
+    "mocap_node": "motion capture",
+}
 
 
 # --- press test: the user presses each cluster, which verifies its sign, place and order. The limb

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers import gpio
+from socket_testbed.drivers import DeviceBusyError, gpio, lock_device
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import CapacitiveChip, I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
@@ -21,6 +23,7 @@ from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
+from socket_testbed.settings.testbed import TestbedSettings
 from socket_testbed.simulation.devices.ads131m0x import simulated_load_cell
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.gpio import SimulatedLines
@@ -32,6 +35,45 @@ from socket_testbed.simulation.world import World
 CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = {
     "fdc1004": (Fdc1004, SimulatedFdc1004)
 }
+
+
+_DEVICES = Path("/dev")
+_FREE_INTERVAL = 0.1  # [s]
+
+
+def find_user(settings: TestbedSettings) -> DeviceBusyError | None:
+    """Which other program uses a bus of the testbed's settings; None if all are free.
+
+    A bus that is not there or not permitted counts as free: its node reports it.
+    """
+    names = {f"i2c-{number}" for number in settings.cluster_node.buses}
+    for name in [*sorted(names), f"spidev{settings.load_cell_node.device}"]:
+        with suppress(OSError):
+            file = os.open(_DEVICES / name, os.O_RDWR | os.O_NONBLOCK)
+            try:
+                lock_device(file, name)
+            except DeviceBusyError as error:
+                return error
+            finally:
+                os.close(file)
+    return None
+
+
+def require_free(settings: TestbedSettings, within: float = 3.0) -> None:
+    """Wait until no other program uses a bus of the testbed's settings.
+
+    Args:
+        settings: Settings of the nodes, with their buses.
+        within: How long a program that is ending may still hold one [s].
+
+    Raises:
+        DeviceBusyError: Another program still uses one then.
+    """
+    deadline = clocks.monotonic() + within
+    while (user := find_user(settings)) is not None:
+        if clocks.monotonic() >= deadline:
+            raise user
+        clocks.sleep(_FREE_INTERVAL)
 
 
 def _require_real_time() -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -28,6 +30,7 @@ from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials import events
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
+    DIAGNOSTICS,
     ESTIMATED_WRENCH,
     EVENT,
     PARAMETERS,
@@ -36,11 +39,13 @@ from socket_testbed.trials.topics import (
     TRIGGER,
     Service,
     Topic,
+    full_name,
     full_namespace,
     namespace_of,
 )
 
 _POLL_INTERVAL = 0.02  # [s]
+_STATES_TIMEOUT = 8.0  # [s]; nodes report once a second, after their discovery
 
 # Events, in real time:
 _LINK_TIMEOUT = 6.0  # [s]; to discover a subscriber on a busy machine
@@ -126,6 +131,45 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     finally:
         node.destroy_node()
         rclpy.shutdown()
+
+
+def reported_states(
+    nodes: Collection[str], namespace: str = "/", within: float = _STATES_TIMEOUT
+) -> dict[str, tuple[int, str]]:
+    """Level and message of the running nodes, from /diagnostics.
+
+    Args:
+        nodes: Names of the nodes.
+        namespace: Namespace of the testbed.
+        within: How long to listen for nodes that say nothing [s].
+
+    Returns:
+        The newest level (OK, WARN or ERROR) and message of each node that reported, by its name.
+    """
+    wanted = {full_name(name, full_namespace(namespace)): name for name in nodes}
+    found: dict[str, tuple[int, str]] = {}
+
+    def note(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name in wanted:
+                found[wanted[status.name]] = status.level[0], status.message
+
+    context = rclpy.Context()
+    # The verb handles Ctrl-C.
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("doctor", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    try:
+        qos = base.subscriber_qos(DIAGNOSTICS)
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, note, qos)
+        executor.add_node(node)
+        step = partial(executor.spin_once, timeout_sec=_POLL_INTERVAL)
+        _wait(lambda: len(found) == len(wanted), within, step)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+    return found
 
 
 def _wait(

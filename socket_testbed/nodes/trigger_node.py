@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
-from socket_testbed.drivers.gpio import Trigger
+from socket_testbed.drivers.gpio import LinesError, Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import (
@@ -60,6 +60,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._sequence = 0
         self._unseen = 0
         self._skipped = 0
+        self._stray = 0  # edges of lines that were closed
+        self._lost = ""  # the fault that closed them, until the next trigger
         self._fault = RecentFault()
         self._reopening = clocks.Backoff()
         self._enabled = threading.Event()
@@ -87,11 +89,12 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     def figures(self) -> dict[str, object]:
         """Numbers of pulses, and of those unseen or skipped, and of stray edges [1]."""
+        trigger = self._trigger  # the thread may close it meanwhile
         return {
             TRIGGERS: self._sequence,
             "unseen": self._unseen,
             "skipped": self._skipped,
-            "stray_edges": self._trigger.stray if self._trigger is not None else 0,
+            "stray_edges": self._stray + (trigger.stray if trigger is not None else 0),
         }
 
     def _tick(self) -> None:
@@ -138,23 +141,46 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     def _fire(self) -> None:
         """Fire one pulse and publish its trigger; a fault is noted instead."""
+        begun = self._sequence
         try:
-            if self._trigger is None:
-                self._trigger = make_trigger(self.settings)
+            trigger = self._opened()
             self._sequence += 1
-            stamp = self._epoch.to_epoch(self._trigger.fire())
+            try:
+                moment = trigger.fire()
+            except LinesError as error:
+                self._lost = str(error)
+                # The chip may have returned since the last pulse.
+                self._close_trigger()
+                moment = self._opened().fire()
         except DeviceError as error:
-            self._unseen += self._trigger is not None
-            self._fault.note(str(error))
+            self._unseen += self._sequence - begun
+            self._fault.note(self._lost or str(error))
+            if isinstance(error, LinesError):
+                self._close_trigger()
             if self._trigger is None:
                 wait = self._reopening.failed(clocks.monotonic())
                 self._stopping.wait(clocks.real(wait))
         else:
+            self._lost = ""
             self._reopening.succeeded()
+            stamp = self._epoch.to_epoch(moment)
             self._own.append(stamp)
             self._send(stamp, self._sequence)
         if self._trigger is not None:
             self._trigger.end_pulse()
+
+    def _opened(self) -> Trigger:
+        """The trigger, whose lines are opened if they are not open."""
+        if self._trigger is None:
+            self._trigger = make_trigger(self.settings)
+        return self._trigger
+
+    def _close_trigger(self) -> None:
+        """Release the lines, so that the kernel can give a chip back; they are opened again."""
+        if self._trigger is not None:
+            self._stray += self._trigger.stray
+            self._trigger.close()
+            self._trigger = None
 
     def check(self) -> None:
         """Report a fault of recent pulses, a foreign trigger, or a step of the system clock."""

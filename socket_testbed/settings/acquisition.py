@@ -54,6 +54,9 @@ class TriggerSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.source == "gpio" and self.output_line == self.input_line:
+            fact = f"output_line and input_line are both {self.output_line}"
+            raise ConfigurationError(fact, "give two lines, and wire one to the other")
         if self.pulse * self.rate > MAX_PULSE:
             fact = f"a pulse of {self.pulse:g} s is too long for {self.rate:g} Hz"
             hint = f"set pulse to {1e-6 * int(1e6 * MAX_PULSE / self.rate):g} s or less"
@@ -83,7 +86,7 @@ class ClusterSettings(Settings):
         400, "conversions per chip, shared by its inputs; FDC1004: 100, 200, 400 [1/s]", 1, 100_000
     )
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
-    bus_timeout: float = fixed(0.05, "timeout of a transfer on a hanging bus [s]", 0.01, 1.0)
+    bus_timeout: float = fixed(0.02, "timeout of a transfer on a hanging bus [s]", 0.01, 1.0)
     latest: float = fixed(0.05, "later readings after the trigger count as missing [s]", 1e-3, 1.0)
     scheduling: SchedulingSettings = SchedulingSettings()
 

@@ -20,7 +20,8 @@ from socket_testbed.errors import ConfigurationError
 FAULTS = {
     "trigger.missing": "no edge follows the pulse",
     "trigger.late": "delay of the edge [s]",
-    "clusters.unplugged": "the bus is gone: every transfer fails with ENODEV",
+    "trigger.unplugged": "the GPIO chip is gone: its lines fail with ENODEV until it is back",
+    "clusters.unplugged": "the bus is gone: every transfer fails with this errno; 1: ENODEV",
     "clusters.nack": "number of the cluster, from 1, whose chip does not answer (EREMOTEIO)",
     "clusters.timeout": "time after which every transfer times out (ETIMEDOUT) [s]",
     "clusters.stuck_done": "number of the cluster whose chip stops converting until it is reset",

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import spidev
 from gpiod.line import Direction, Edge, Value
-from smbus2 import SMBus, i2c_msg
+from smbus2 import I2cFunc, SMBus, i2c_msg
 from support.clocks import FakeClock
 
 from socket_testbed.drivers import ERROR, OK, WARN, gpio
@@ -301,7 +301,7 @@ def test_the_timeout_is_set_in_whole_steps(
         asked.append((request, value))
         return 0
 
-    opened = SimpleNamespace(fd=None, close=lambda: None)
+    opened = SimpleNamespace(fd=None, funcs=I2cFunc.I2C, close=lambda: None)
     opened.open = lambda number: setattr(opened, "fd", null)
     monkeypatch.setattr(i2c, "SMBus", lambda: opened)
     monkeypatch.setattr(i2c, "ioctl", ioctl)
@@ -342,9 +342,10 @@ def test_a_frame_of_bytes_passes_the_checks() -> None:
 class StrictSpi:
     """`spidev.SpiDev` as far as it checks: attributes are set on a real one that is not open."""
 
-    def __init__(self) -> None:
+    def __init__(self, file: int = -1) -> None:
         self.set: dict[str, int] = {}
         self.opened: tuple[int, int] | None = None
+        self.fileno = lambda: file
 
     def open(self, bus: int, select: int) -> None:
         with pytest.raises(FileNotFoundError):
@@ -363,8 +364,10 @@ class StrictSpi:
 
 
 @pytest.mark.parametrize("clock", [8e6, 8_000_000, 8_000_000.7], ids=str)
-def test_spi_is_opened_with_whole_numbers(clock: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    spi = StrictSpi()
+def test_spi_is_opened_with_whole_numbers(
+    clock: float, null: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spi = StrictSpi(null)
     monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=lambda: spi))
     ads131m0x.open_spi("1.0", clock)
     assert spi.opened == (1, 0)

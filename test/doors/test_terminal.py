@@ -17,7 +17,7 @@ from support.clocks import FakeClock
 
 from socket_testbed import api, clocks
 from socket_testbed.__main__ import run
-from socket_testbed.drivers import ERROR, OK, WARN
+from socket_testbed.drivers import ERROR, OK, WARN, DeviceBusyError
 from socket_testbed.errors import DeviceError
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.fit import ChannelErrors
@@ -97,6 +97,63 @@ def test_without_a_hint_all_is_well(examined: Callable[..., Printed]) -> None:
     assert printed.code == 0 and printed.error == ""
 
 
+USER = DeviceBusyError("i2c-1", "process 4711, socket-testbed run")
+STATES = {
+    "trigger_node": (0, "triggering at 4 Hz"),
+    "cluster_node": (2, "no answer at 0x50 on i2c-1: check the cluster's plug"),
+    "load_cell_node": (0, "spidev0.0 converts"),
+}
+
+
+@pytest.fixture
+def next_to(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], Printed]:
+    """`doctor` beside a testbed whose nodes report some states."""
+    kernel = Outcome("kernel", "6.12.1 on a computer")
+    for check in ("check_kernel", "check_scheduling"):
+        found = [kernel] if check == "check_kernel" else []
+        monkeypatch.setattr(doctor, check, lambda testbed, found=found: found)
+
+    def called(states: dict[str, Any], *arguments: str) -> Printed:
+        commands = "socket_testbed.commands.live"
+        monkeypatch.setattr(f"{commands}.find_user", lambda settings: USER)
+        monkeypatch.setattr(f"{commands}.configured", lambda *_, **__: make_testbed())
+        monkeypatch.setattr(
+            "socket_testbed.nodes.controls.reported_states", lambda nodes, namespace: states
+        )
+        return Printed("doctor", *arguments)
+
+    return called
+
+
+def test_doctor_beside_a_testbed_asks_it(next_to: Callable[..., Printed]) -> None:
+    printed = next_to(STATES)
+    assert printed.lines[2:] == [
+        "kernel ok 6.12.1 on a computer",
+        "devices ok another program uses i2c-1 (process 4711, socket-testbed run):"
+        " its own reports follow",
+        "trigger ok triggering at 4 Hz",
+        "clusters failed no answer at 0x50 on i2c-1 check the cluster's plug",
+        "load cell ok spidev0.0 converts",
+        "motion capture failed no report from mocap_node of the running testbed"
+        " end the other program, then call 'doctor' again",
+    ]
+    assert printed.code == 1
+
+
+def test_doctor_beside_a_silent_program_names_it(next_to: Callable[..., Printed]) -> None:
+    printed = next_to({})
+    assert printed.lines[3:] == [
+        "devices failed another program uses i2c-1 (process 4711, socket-testbed run)"
+        " end it first: Ctrl-C, or systemctl stop if it is a service"
+    ]
+    assert printed.code == 1
+
+
+def test_presses_beside_a_testbed_are_refused(next_to: Callable[..., Printed]) -> None:
+    printed = next_to(STATES, "--press")
+    assert printed.code == 1 and "another program uses i2c-1 (process 4711" in printed.error
+
+
 def test_an_error_ends_its_check_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     def check_load_cell(testbed: Any) -> Iterator[Outcome]:
         yield FINDINGS[2]
@@ -134,7 +191,8 @@ def make_testbed(**settings: Any) -> Any:
         "cluster_node": ClusterSettings(),
         "mocap_node": MocapSettings(server="10.0.0.5"),
     }
-    return SimpleNamespace(settings=SimpleNamespace(**{**nodes, **settings}), simulation=None)
+    settings = SimpleNamespace(**{**nodes, **settings})
+    return SimpleNamespace(settings=settings, simulation=None, namespace="/")
 
 
 def only(found: Iterator[Outcome]) -> Outcome:

@@ -1,18 +1,25 @@
 """The clusters' driver: its conversation with each chip, and every fault of a simulated bus."""
 
 import errno
+import itertools
+import os
 import random
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from smbus2 import i2c_msg
+from smbus2 import I2cFunc, i2c_msg
 from support.clocks import FakeClock
 from support.wording import check_line, refused
 
 from socket_testbed import clocks
+from socket_testbed.drivers import DeviceBusyError
 from socket_testbed.drivers.clusters import i2c
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import BusError, Conversion, I2cBus, I2cPort
@@ -22,6 +29,7 @@ from socket_testbed.live import doctor, hardware
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.simulation.devices.failed_transfer import FailedTransfer
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware, SimulatedI2cBus
 from socket_testbed.simulation.world import FAULTS
@@ -191,8 +199,11 @@ def test_a_chip_that_stays_in_reset_is_named() -> None:
         pytest.param(errno.ETIMEDOUT, "the bus hangs at", id="ETIMEDOUT"),
         pytest.param(errno.ENODEV, "adapter of i2c-1", id="ENODEV"),
         pytest.param(errno.EBADF, "adapter of i2c-1", id="EBADF"),
-        pytest.param(errno.EIO, "adapter of i2c-1", id="EIO"),
-        pytest.param(errno.EAGAIN, "(x): check the cluster's wiring", id="EAGAIN"),
+        pytest.param(errno.ESHUTDOWN, "adapter of i2c-1", id="ESHUTDOWN"),
+        pytest.param(errno.EIO, "(x): check the cluster's wiring (SDA, SCL", id="EIO"),
+        pytest.param(errno.EPROTO, "(x): check the cluster's wiring (SDA, SCL", id="EPROTO"),
+        pytest.param(errno.EAGAIN, "check SDA and SCL for interference", id="EAGAIN"),
+        pytest.param(errno.EOPNOTSUPP, "the adapter of i2c-1 lacks", id="EOPNOTSUPP"),
     ],
 )
 def test_a_failed_transfer_names_the_place(number: int, text: str) -> None:
@@ -203,17 +214,41 @@ def test_a_failed_transfer_names_the_place(number: int, text: str) -> None:
 
 
 @pytest.fixture
-def smbus(monkeypatch: pytest.MonkeyPatch) -> Mock:
+def smbus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Mock]:
     """The bus that is opened, with the requests to the kernel in `smbus.ioctl`."""
-    bus = Mock(fd=5)
+    file = os.open(tmp_path / "i2c-7", os.O_RDWR | os.O_CREAT)
+    bus = Mock(fd=file, funcs=I2cFunc.I2C | I2cFunc.SMBUS_QUICK)
     monkeypatch.setattr(i2c, "SMBus", lambda: bus)
     monkeypatch.setattr(i2c, "ioctl", bus.ioctl)
-    return bus
+    yield bus
+    os.close(file)
 
 
 def test_an_opened_bus_has_the_time_out(smbus: Mock) -> None:
     i2c.open_i2c(7, 0.05)
-    smbus.ioctl.assert_called_once_with(5, 0x0702, 5)
+    smbus.ioctl.assert_called_once_with(smbus.fd, 0x0702, 5)
+
+
+def test_an_adapter_for_smbus_alone_is_named(smbus: Mock) -> None:
+    smbus.funcs = I2cFunc.SMBUS_BYTE_DATA | I2cFunc.SMBUS_QUICK
+    with refused(DeviceError, "i2c-7", "SMBus alone", "cluster_node's buses"):
+        i2c.open_i2c(7, 0.05)
+    assert smbus.close.call_count == 1
+
+
+def test_a_bus_of_another_program_is_refused(smbus: Mock, tmp_path: Path) -> None:
+    """Its process and its command are named; when it ends, the bus opens."""
+    program = "import fcntl, sys; f = open(sys.argv[1], 'r+'); fcntl.flock(f, fcntl.LOCK_EX)"
+    program += "; print(flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", program, str(tmp_path / "i2c-7")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdin is not None and other.stdout is not None
+        other.stdout.readline()
+        with refused(DeviceBusyError, f"another program uses i2c-7 (process {other.pid}, "):
+            i2c.open_i2c(7, 0.05)
+        assert smbus.close.call_count == 1
+        other.stdin.close()
+    assert i2c.open_i2c(7, 0.05) is smbus
 
 
 @pytest.mark.parametrize(
@@ -221,6 +256,8 @@ def test_an_opened_bus_has_the_time_out(smbus: Mock) -> None:
     [
         pytest.param(errno.EACCES, "group i2c", id="EACCES"),
         pytest.param(errno.ENOENT, "enable the bus", id="ENOENT"),
+        pytest.param(errno.ENXIO, "enable the bus", id="ENXIO"),
+        pytest.param(errno.ENOTTY, "check that it is an I2C bus", id="ENOTTY"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_is_named(smbus: Mock, number: int, hint: str) -> None:
@@ -415,14 +452,128 @@ def test_a_chip_that_hangs_gives_nothing_old() -> None:
     assert is_good(bench.read(hangs + 2.0))
 
 
+ERRNOS = ("EREMOTEIO", "EAGAIN", "EIO", "ETIMEDOUT", "EPROTO", "ESHUTDOWN", "ENODEV", "ENXIO")
+OWN_BUSES = replace(SETTINGS, multiplexer=0, buses=(3, 4, 5, 6), channels=(0, 0, 0, 0))
+TWO_MULTIPLEXERS = replace(SETTINGS, multiplexers=(0x70, 0x70, 0x71, 0x71))
+LAYOUTS = {"multiplexer": SETTINGS, "bridges": OWN_BUSES, "two": TWO_MULTIPLEXERS}
+
+
+@pytest.mark.parametrize("executed", [False, True], ids=["unsent", "executed"])
+@pytest.mark.parametrize("rate", [20.0, 50.0], ids=["20-Hz", "50-Hz"])
+@pytest.mark.parametrize("layout", ["multiplexer", "bridges"])
+@pytest.mark.parametrize("name", ERRNOS)
+def test_a_single_failed_transfer_costs_nothing(
+    name: str, layout: str, rate: float, executed: bool
+) -> None:
+    """One in each of 10 samples, anywhere in its conversation."""
+    bench = Bench(settings=LAYOUTS[layout])
+    bench.run(rate, 4)
+    failing = bench.hardware.failing[bench.settings.buses[0]]
+    for n in range(10):
+        failing.append(FailedTransfer(getattr(errno, name), after=5 * n, executed=executed))
+        assert is_good(bench.read(bench.clock.now + 1.0 / rate)), n
+        failing.clear()
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0], ids=["20-Hz", "50-Hz"])
+def test_a_transfer_that_times_out_costs_nothing(rate: float) -> None:
+    """Each takes the whole timeout; the next trigger may have come meanwhile."""
+    bench = Bench()
+    bench.run(rate, 4)
+    begin = bench.clock.now + 1.0 / rate
+    lost = 0
+    for n in range(60):
+        if n % 6 == 0:
+            slow = FailedTransfer(errno.ETIMEDOUT, after=n // 2, takes=SETTINGS.bus_timeout)
+            bench.hardware.failing[1].append(slow)
+        lost += not is_good(bench.read(begin + n / rate))
+    assert not bench.hardware.failing[1]
+    assert lost == 0
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("name", ERRNOS)
+@pytest.mark.parametrize("rate", [1 / 0.3, 4.0, 50.0], ids=["idle", "4-Hz", "50-Hz"])
+def test_an_adapter_is_heard_within_a_second(name: str, rate: float, layout: str) -> None:
+    """The kernel gives it back only when it is closed, whatever the errno."""
+    bench = Bench(settings=LAYOUTS[layout])
+    bench.run(rate, 4)
+    for absent in (0.2, 1.0, 3.0):
+        bench.faults.clear()
+        begin = bench.clock.now
+        bench.faults.add("unplugged", getattr(errno, name), begin, begin + absent)
+        readings = bench.run(rate, round(absent * rate))
+        assert missing(readings[-1]) == [0, 1, 2, 3]
+        bench.clock.now = max(bench.clock.now, begin + absent)
+        readings = bench.run(rate, 1 + round(rate))
+        assert is_good(readings[-1]), absent
+
+
+def test_a_chip_alone_does_not_close_its_bus() -> None:
+    """The others of its multiplexers answer: they are not reset."""
+    bench = Bench()
+    bench.read()
+    opened = list(bench.hardware._opened[1])
+    bench.faults.add("nack", 2.0, bench.clock.now)
+    assert [missing(reading) for reading in bench.run(4.0, 8)] == [[1]] * 8
+    assert bench.hardware._opened[1] == opened
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0], ids=["20-Hz", "50-Hz"])
+def test_two_programs_on_one_bus_are_kept_apart(rate: float) -> None:
+    """Without the lock one would select between the other's select and read."""
+    bench = Bench()
+    bench.run(rate, 4)
+    other = ClusterReader(SETTINGS, Fdc1004, bench.hardware.open_bus)
+    found = other.read(bench.clock.now)
+    assert missing(found) == [0, 1, 2, 3]
+    check_line(found.faults["distal"][0], "another program uses i2c-1 (process ")
+    assert is_good(bench.read())
+    bench.reader.close()
+    bench.clock.now += 1.0
+    assert is_good(other.read(bench.clock.now))
+
+
+class Foreign:
+    """A bus on which another program selects a channel after every 37th transfer."""
+
+    def __init__(self, bus: I2cBus, other: I2cBus) -> None:
+        self._bus, self._other = bus, other
+        self._masks = itertools.cycle([None] * 36 + [1] + [None] * 36 + [8])
+
+    def i2c_rdwr(self, *messages: i2c_msg) -> None:
+        self._bus.i2c_rdwr(*messages)
+        if (mask := next(self._masks)) is not None:
+            self._other.i2c_rdwr(i2c_msg.write(0x70, [mask]))
+
+    def close(self) -> None:
+        self._bus.close()
+
+
+def test_a_foreign_reader_gives_wrong_values() -> None:
+    """This is what the lock keeps off: another cluster's value, with status OK."""
+    bench = Bench()
+    bench.hardware.is_locked = False
+    opened = bench.hardware.open_bus
+    bench.reader = ClusterReader(SETTINGS, Fdc1004, lambda n: Foreign(opened(n), opened(n)))
+    wrong = 0
+    for n in range(20):
+        reading = bench.reader.read(START + 0.25 * n)
+        truth = [[bench.capacitance(c, i, START + 0.25 * n) for i in range(4)] for c in range(4)]
+        with np.errstate(invalid="ignore"):
+            wrong += int((np.abs(reading.capacitance - truth) > 0.1).sum())
+        bench.clock.now = max(bench.clock.now, START + 0.25 * n + 0.25)
+    assert wrong > 0
+
+
 def test_a_hung_bus_silences_no_other_chip(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It costs one time-out, and so do all four of them."""
+    """It costs one time-out, two at first, and so do all four of them."""
     bench, transfer = Bench(), SimulatedI2cBus.i2c_rdwr
     masks: set[int] = set()  # the channels whose chips hang the bus
 
     def hang(bus: SimulatedI2cBus, *messages: i2c_msg) -> None:
         if bench.hardware.multiplexers[1, 0x70].mask in masks and messages[0].addr == 0x50:
-            bench.clock.sleep(0.05)
+            bench.clock.sleep(SETTINGS.bus_timeout)
             raise OSError(errno.ETIMEDOUT, "x")
         transfer(bus, *messages)
 

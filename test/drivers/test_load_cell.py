@@ -5,7 +5,10 @@ With DRDY on a GPIO line (`line`) each edge is a conversion's time; without, tim
 
 import dataclasses
 import errno
+import fcntl
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +20,7 @@ from support.clocks import FakeClock
 from support.wording import check_line, refused
 
 from socket_testbed import clocks
+from socket_testbed.drivers import DeviceBusyError
 from socket_testbed.drivers.load_cell import ads131m0x, converter_reader
 from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import (
@@ -30,6 +34,7 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
+from socket_testbed.simulation.devices.failed_transfer import FailedTransfer
 
 _CROSS_TALK = 0.1 * np.random.default_rng(7).standard_normal((6, 6))
 MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (np.eye(6) + _CROSS_TALK)
@@ -249,6 +254,69 @@ def test_no_fault_makes_a_wrong_wrench(line: bool, seed: int, name: str) -> None
     off = bench.now
     bench.run(1.4)
     assert all(bench.valid(start=off + 0.5)) and bench.health()[0] == 0
+
+
+ERRNOS = {
+    "EIO": "the bus fails (",
+    "ETIMEDOUT": "the SPI controller hangs (",
+    "EAGAIN": "the bus fails (",
+    "EPROTO": "the bus fails (",
+    "EREMOTEIO": "the bus fails (",
+    "ESHUTDOWN": "the bus is gone (",
+    "ENODEV": "the bus is gone (",
+    "ENXIO": "the bus is gone (",
+}
+
+
+@pytest.mark.parametrize("executed", [False, True], ids=["unsent", "executed"])
+@pytest.mark.parametrize("line", [False, True], ids=["inferred", "drdy"])
+@pytest.mark.parametrize("name", ERRNOS)
+def test_a_single_failed_frame_costs_no_wrench(name: str, line: bool, executed: bool) -> None:
+    """The wrench takes half of the conversions around it at least."""
+    bench = Bench(line=line)
+    bench.run(0.2)
+    begin = bench.now
+    for _ in range(10):
+        bench.chip.failing.append(FailedTransfer(getattr(errno, name), 3, executed))
+        bench.run(0.1)
+        assert not bench.chip.failing
+    assert all(bench.valid(begin, bench.now - 0.05)) and bench.health()[0] == 0
+    assert bench.cell.figures()["failed_transfers"] == 10
+    assert bench.cell.figures()["restarts"] == 0
+
+
+@pytest.mark.parametrize("name", ERRNOS)
+def test_a_device_is_heard_within_a_second(name: str) -> None:
+    bench = Bench()
+    bench.run(0.2)
+    bench.chip.failing += [FailedTransfer(getattr(errno, name)) for _ in range(9)]
+    bench.run(0.02)
+    level, text = bench.health()
+    assert level == 2
+    check_line(text, f"spidev0.0: {ERRNOS[name]}")
+    while bench.chip.failing:
+        bench.run(0.02)
+    back = bench.now
+    bench.run(1.2)
+    assert all(bench.valid(start=back + 0.9)) and bench.health()[0] == 0
+
+
+def test_a_transfer_that_does_not_end_is_named() -> None:
+    """The computer is not to blame while the controller hangs."""
+    bench = Bench()
+    bench.run(0.2)
+    said: list[tuple[int, str]] = []
+
+    class Hanging(FailedTransfer):
+        def error(self) -> OSError:
+            said.append(bench.health())
+            return super().error()
+
+    bench.chip.failing.append(Hanging(errno.ETIMEDOUT, takes=0.3))
+    bench.run(0.02)
+    ((level, text),) = said
+    assert level == 2
+    check_line(text, "spidev0.0: a transfer does not end: see dmesg for the SPI controller")
 
 
 def test_each_conversion_has_the_time_of_its_edge() -> None:
@@ -609,11 +677,13 @@ def test_a_pause_leaves_no_wrong_time() -> None:
 
 
 @pytest.fixture
-def device(monkeypatch: pytest.MonkeyPatch) -> Mock:
+def device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Mock]:
     """The SPI device that is opened."""
-    device = Mock()
+    file = os.open(tmp_path / "spidev0.0", os.O_RDWR | os.O_CREAT)
+    device = Mock(**{"fileno.return_value": file})
     monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=lambda: device))
-    return device
+    yield device
+    os.close(file)
 
 
 def test_the_bus_is_opened_in_mode_1(device: Mock) -> None:
@@ -634,6 +704,16 @@ def test_a_bus_that_cannot_be_opened_is_named(device: Mock, number: int, hint: s
     with refused(DeviceError, "/dev/spidev0.0", hint):
         ads131m0x.open_spi("0.0", 8e6)
     assert device.close.call_count == 1
+
+
+def test_a_device_of_another_program_is_refused(device: Mock, tmp_path: Path) -> None:
+    other = os.open(tmp_path / "spidev0.0", os.O_RDWR)
+    fcntl.flock(other, fcntl.LOCK_EX)
+    with refused(DeviceBusyError, f"another program uses spidev0.0 (process {os.getpid()}, "):
+        ads131m0x.open_spi("0.0", 8e6)
+    assert device.close.call_count == 1
+    os.close(other)
+    assert ads131m0x.open_spi("0.0", 8e6) is device
 
 
 @pytest.mark.usefixtures("device")

@@ -1,7 +1,10 @@
 """How fast a machine is said to be, what scheduling asks for, and what a testbed is made of."""
 
+import fcntl
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from support import scene
+from support.clocks import FakeClock
 from support.wording import refused
 
-from socket_testbed.drivers import gpio
+from socket_testbed.drivers import DeviceBusyError, gpio
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.live import bringup, hardware, scheduling
@@ -301,6 +305,64 @@ class Graph:
         self.did.append(("pause", seconds))
 
     def check(self) -> None: ...
+
+
+@pytest.fixture
+def devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the device files of the default buses."""
+    folder = tmp_path / "dev"
+    folder.mkdir()
+    for name in ("i2c-1", "spidev0.0"):
+        (folder / name).touch()
+    monkeypatch.setattr(hardware, "_DEVICES", folder)
+    return folder
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """A lock on a file, as another program has it."""
+    file = os.open(path, os.O_RDWR)
+    fcntl.flock(file, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        os.close(file)
+
+
+@pytest.mark.parametrize("name", ["i2c-1", "spidev0.0"])
+def test_a_testbed_beside_another_is_refused(
+    name: str, devices: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before any of its nodes starts; it starts when the other one has ended."""
+    graph = Graph(tmp_path)
+    settings = replace(
+        bringup.simulated_testbed().settings,
+        mocap_node=acquisition.MocapSettings(server="127.0.0.1"),
+    )
+    testbed = bringup.Testbed(settings)
+    words = f"another program uses {name} (process {os.getpid()}, "
+    FakeClock().install(monkeypatch)
+    with held(devices / name), refused(DeviceBusyError, words, "systemctl stop"):
+        bringup.start(graph, testbed)
+    assert not graph.did
+    bringup.start(graph, testbed)
+    assert graph.did
+
+
+def test_buses_that_are_not_there_are_free(devices: Path) -> None:
+    """Their nodes report them."""
+    for name in ("i2c-1", "spidev0.0"):
+        (devices / name).unlink()
+    assert hardware.find_user(TestbedSettings()) is None
+
+
+@pytest.mark.parametrize("line", [17, 27])
+def test_drdy_on_a_line_of_the_trigger_is_refused(line: int) -> None:
+    settings = bringup.simulated_testbed().settings
+    cell = replace(settings.load_cell_node, data_ready_line=line)
+    testbed = bringup.Testbed(replace(settings, load_cell_node=cell), simulation=Simulation())
+    with refused(ConfigurationError, f"data_ready_line is {line}, a line of the trigger"):
+        testbed.check_devices()
 
 
 def test_a_simulated_testbed_starts_with_its_world(tmp_path: Path) -> None:

@@ -185,6 +185,21 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
         yield live
 
 
+def test_doctor_hears_what_the_nodes_report(live: LiveTestbed) -> None:
+    """On a busy machine these are faults, which another subscriber hears as well."""
+    live.probe.said("cluster_node")
+    live.wait_for_triggers(3)
+    states = module.reported_states(("cluster_node", "trigger_node"), within=HANGS)
+    live.wait_for_triggers(8)
+    for node in ("cluster_node", "trigger_node"):
+        said = {(status.level[0], status.message) for status in live.probe.said(node)}
+        assert states[node] in said
+
+
+def test_a_node_that_is_not_there_reports_nothing(live: LiveTestbed) -> None:
+    assert module.reported_states(("mocap_node",), "/elsewhere", within=0.1) == {}
+
+
 @pytest.fixture(scope="module")
 def act(live: LiveTestbed) -> Iterator[Callable[..., str]]:
     with pytest.MonkeyPatch.context() as patch:

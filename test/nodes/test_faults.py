@@ -20,6 +20,7 @@ pytestmark = pytest.mark.graph
 CASES = {
     "trigger.missing": (1, "trigger_node", "ERROR", "no edge on line 27 .*check the wire"),
     "trigger.late": (0.004, "trigger_node", "ERROR", "no edge on line 27"),
+    "trigger.unplugged": (1, "trigger_node", "ERROR", "pinctrl-rp1 are gone .*opened again"),
     "clusters.unplugged": (1, "cluster_node", "ERROR", "i2c-1"),
     "clusters.nack": (3, "cluster_node", "ERROR", "0x50 behind channel 2 of 0x70 on i2c-1: "),
     "clusters.timeout": (0.05, "cluster_node", "ERROR", "i2c-1"),

@@ -21,6 +21,7 @@ from support.wording import refused
 from socket_testbed import clocks
 from socket_testbed.calibration.model import write_calibration
 from socket_testbed.drivers.clusters.reader import ClusterReading
+from socket_testbed.drivers.gpio import GpioTrigger
 from socket_testbed.drivers.load_cell.load_cell import WrenchReading
 from socket_testbed.drivers.natnet.tracker import SeenBody
 from socket_testbed.errors import ConfigurationError, DeviceError
@@ -28,6 +29,8 @@ from socket_testbed.geometry.socket import write_socket
 from socket_testbed.nodes import cluster_node, load_cell_node, mocap_node, trigger_node
 from socket_testbed.nodes.calibration_node import CalibrationNode
 from socket_testbed.samples import Status
+from socket_testbed.simulation.devices.gpio import SimulatedLines
+from socket_testbed.simulation.world import FAULTS
 from socket_testbed.trials.messages import Capacitances
 
 OK, WARN, ERROR = 0, 1, 2
@@ -662,6 +665,43 @@ def test_a_lost_pulse_leaves_a_gap(
     sent = wait_for_triggers(make, len(make.sent["trigger"]) + 2)
     steps = np.diff([message.sequence for message in sent])
     assert unseen - 1 <= steps.max() - 1 <= unseen + 1
+
+
+@pytest.fixture
+def wired(make: Maker, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A trigger node on lines whose chip can be unplugged, with its faults."""
+    faults = dict.fromkeys(FAULTS, 0.0)
+    monkeypatch.setattr(
+        trigger_node, "make_trigger", lambda own: GpioTrigger(SimulatedLines(faults), own)
+    )
+    # A busy machine delays the simulated wire.
+    node = make(trigger_node.TriggerNode, source="gpio", rate=50.0, edge_within=0.1)
+    return SimpleNamespace(node=node, faults=faults)
+
+
+def test_a_lost_chip_is_opened_again(wired: Any, make: Maker) -> None:
+    wait_for_triggers(make, 2)
+    wired.faults["trigger.unplugged"] = 1.0
+    deadline = time.monotonic() + HANGS
+    while not wired.node.figures()["unseen"] and time.monotonic() < deadline:
+        time.sleep(1e-3)
+    wired.node.check()
+    level, text = make.state()
+    assert level == ERROR and text.startswith("the GPIO lines of pinctrl-rp1 are gone (")
+    assert text.endswith("check the chip's overlay or adapter; it is opened again automatically")
+    wired.faults["trigger.unplugged"] = 0.0
+    sent = wait_for_triggers(make, len(make.sent["trigger"]) + 3)
+    numbers = [message.sequence for message in sent]
+    assert numbers == sorted(set(numbers)) and wired.node.figures()["unseen"] == 1
+
+
+def test_a_chip_that_was_away_costs_no_pulse(wired: Any, make: Maker) -> None:
+    """It vanished and returned between two pulses."""
+    wait_for_triggers(make, 2)
+    wired.node._trigger._lines._is_gone = True
+    sent = wait_for_triggers(make, len(make.sent["trigger"]) + 3)
+    assert [message.sequence for message in sent] == [*range(1, len(sent) + 1)]
+    assert wired.node.figures()["unseen"] == 0
 
 
 def test_skipped_pulses_are_counted(clock: FakeClock) -> None:

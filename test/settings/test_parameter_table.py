@@ -37,7 +37,7 @@ TABLE = {
         channels = (0, 1, 2, 3) 0..7 fixed
         sample_rate = 400 1..100000 fixed
         simulation = '' fixed
-        bus_timeout = 0.05 0.01..1 fixed
+        bus_timeout = 0.02 0.01..1 fixed
         latest = 0.05 0.001..1 fixed
     """,
     "load_cell_node": """

@@ -108,8 +108,8 @@ class Fdc1004:
 
     def read(self, channel: int) -> int:
         """Last conversion of an input, 0..3, a signed code of 24 bits [1]; clears its DONE."""
-        high = self._port.read(2 * channel + _MSB)  # first: this latches the LSB register
-        low = self._port.read(2 * channel + _LSB)
+        # The first one latches the second one, so that both belong to one conversion.
+        high, low = self._port.read_in_a_row(2 * channel + _MSB, 2 * channel + _LSB)
         code = high << 8 | low >> 8
         return code - (1 << 24) if code & 0x800000 else code
 

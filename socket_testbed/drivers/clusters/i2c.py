@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from dataclasses import dataclass
 from fcntl import ioctl
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from smbus2 import SMBus, i2c_msg
+from smbus2 import I2cFunc, SMBus, i2c_msg
 
 from socket_testbed import drivers
 from socket_testbed.errors import DeviceError
@@ -16,6 +17,8 @@ INPUTS = 4  # per chip
 
 _I2C_TIMEOUT = 0x0702  # request of linux/i2c-dev.h
 _TIMEOUT_UNIT = 0.01  # [s]
+
+T = TypeVar("T")
 
 
 class I2cBus(Protocol):
@@ -57,7 +60,7 @@ class BusGoneError(BusError):
 
 
 def open_i2c(number: int, timeout: float) -> I2cBus:
-    """Open `/dev/i2c-N`.
+    """Open `/dev/i2c-N` and lock it against other programs.
 
     Args:
         number: N of the bus.
@@ -65,17 +68,32 @@ def open_i2c(number: int, timeout: float) -> I2cBus:
             one.
 
     Raises:
-        DeviceError: The bus is not there, not permitted or not usable.
+        DeviceError: The bus is not there, not permitted, not usable or speaks SMBus alone; a
+            `DeviceBusyError` if another program has locked it.
     """
     bus = SMBus()
     try:
         bus.open(number)
         assert bus.fd is not None
+        drivers.lock_device(bus.fd, f"i2c-{number}")
+        _require_plain_i2c(bus, number)
         ioctl(bus.fd, _I2C_TIMEOUT, max(1, round(timeout / _TIMEOUT_UNIT)))
     except OSError as error:
         bus.close()  # smbus2 leaves the file open if a later step fails
         raise bus_opening_failed(number, error) from error
+    except DeviceError:
+        bus.close()
+        raise
     return bus
+
+
+def _require_plain_i2c(bus: SMBus, number: int) -> None:
+    """Refuse an adapter of a graphics card or a mainboard, which cannot transfer messages."""
+    if not bus.funcs & I2cFunc.I2C:
+        raise DeviceError(
+            f"the adapter of i2c-{number} speaks SMBus alone, and the clusters need plain I2C",
+            "wire them to another adapter, and set cluster_node's buses (i2cdetect -l lists them)",
+        )
 
 
 def bus_opening_failed(number: int, error: OSError) -> DeviceError:
@@ -90,14 +108,15 @@ def bus_opening_failed(number: int, error: OSError) -> DeviceError:
         error,
         group="i2c",
         missing="enable the bus (dtparam=i2c_arm=on in config.txt), or set cluster_node's buses",
-        otherwise="check that it is an I2C bus and that nothing else holds it",
+        otherwise="check that it is an I2C bus, and doctor's kernel row",
     )
 
 
 class I2cPort:
     """One chip on a bus, with big-endian registers.
 
-    A failed transfer raises a `BusError` that names the bus, the place on it and the part to check.
+    A transfer that fails twice raises a `BusError` that names the bus, the place on it and the part
+    to check.
 
     Args:
         bus: The bus.
@@ -119,13 +138,19 @@ class I2cPort:
         self._bus_name = bus_name
         self._address = address
         self._part = part
+        self._hung = False  # at the last access
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:
         """Read a register of 16 bits: its pointer, then a repeated start; returns 0..0xFFFF [1]."""
-        answer = i2c_msg.read(self._address, 2)
-        self._transfer(i2c_msg.write(self._address, [register]), answer)
-        return int.from_bytes(answer.buf[:2], "big")
+        return self.read_in_a_row(register)[0]
+
+    def read_in_a_row(self, *registers: int) -> list[int]:
+        """Read registers of 16 bits whose contents belong together; returns 0..0xFFFF [1] each.
+
+        A transfer that fails begins the row again, so that all come from one pass.
+        """
+        return self._with_second_try(lambda: [self._read_once(register) for register in registers])
 
     def write(self, register: int, value: int) -> None:
         """Write a register of 16 bits.
@@ -134,15 +159,40 @@ class I2cPort:
             register: Its number, 0..0xFF.
             value: Its new content, 0..0xFFFF [1].
         """
-        self._transfer(i2c_msg.write(self._address, [register, value >> 8, value & 0xFF]))
+        message = i2c_msg.write(self._address, [register, value >> 8, value & 0xFF])
+        self._with_second_try(lambda: self._bus.i2c_rdwr(message))
 
     def write_byte(self, value: int) -> None:
         """Write one byte, 0..0xFF [1], to a chip without registers."""
-        self._transfer(i2c_msg.write(self._address, [value]))
+        message = i2c_msg.write(self._address, [value])
+        self._with_second_try(lambda: self._bus.i2c_rdwr(message))
 
-    def _transfer(self, *messages: i2c_msg) -> None:
+    def _read_once(self, register: int) -> int:
+        answer = i2c_msg.read(self._address, 2)
+        self._bus.i2c_rdwr(i2c_msg.write(self._address, [register]), answer)
+        return int.from_bytes(answer.buf[:2], "big")
+
+    def _with_second_try(self, access: Callable[[], T]) -> T:
+        """Access the chip, at once a second time if a transfer fails.
+
+        Interference costs single transfers, and a second try takes 0.2 ms. A chip that has hung the
+        bus before is tried once only, as each try takes the whole timeout.
+        """
         try:
-            self._bus.i2c_rdwr(*messages)
+            found = self._access(access)
+        except BusTimeoutError:
+            if self._hung:
+                raise
+            self._hung = True
+            found = self._access(access)
+        except BusError:
+            found = self._access(access)
+        self._hung = False
+        return found
+
+    def _access(self, access: Callable[[], T]) -> T:
+        try:
+            return access()
         except OSError as error:
             raise self._bus_error(error) from error
 
@@ -156,9 +206,16 @@ class I2cPort:
         elif error.errno == errno.ETIMEDOUT:
             kind, fact = BusTimeoutError, f"the bus hangs at {self.where}"
             hint = "check SDA and SCL for a short, their pull-ups, and doctor's kernel row"
-        elif error.errno in {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EIO}:
+        elif error.errno in {errno.EIO, errno.EPROTO}:  # by controller: a wire, or its adapter
+            hint += f" (SDA, SCL, ground) and plug, then the adapter of {self._bus_name}"
+        elif error.errno == errno.EAGAIN:
+            fact = f"the bus is disturbed at {self.where} (lost arbitration)"
+            hint = "check SDA and SCL for interference, and that no other master is on the bus"
+        elif error.errno in drivers.GONE:
             kind, fact = BusGoneError, f"the bus is gone at {self.where} ({said})"
             hint = f"check the adapter of {self._bus_name}; it will be reopened automatically"
+        elif error.errno in {errno.EOPNOTSUPP, errno.EINVAL}:
+            hint = f"the adapter of {self._bus_name} lacks such transfers: use another one"
         return kind(fact, hint, self._address)
 
 

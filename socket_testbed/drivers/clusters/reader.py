@@ -26,6 +26,9 @@ _CONVERSION_TIMEOUT = 2.5
 _MIN_CYCLES = 1.25  # between a trigger and the `latest` reading
 _SETTLING = 0.5  # two conversions: the one in progress still has the old range
 
+_TRIES = 2  # of a transfer that no chip should answer
+_MAX_SILENT = 2  # readings in a row without an answer on a bus, until it is opened again
+
 
 @dataclass(frozen=True)
 class ClusterReading:
@@ -83,7 +86,7 @@ class ClusterReader:
         `latest` after the trigger count as missing.
         """
         for bus in self._buses.values():
-            bus.given_up = ""
+            bus.begin()
         clusters = self._clusters.values()
         for cluster in clusters:
             cluster.begin(trigger)
@@ -93,6 +96,8 @@ class ClusterReader:
         waiting = [] if late else sorted(clusters, key=lambda cluster: not cluster.configured)
         while waiting := [cluster for cluster in waiting if cluster.advance()]:
             clocks.sleep(_POLL_INTERVAL * waiting[0].cycle)
+        for bus in self._buses.values():
+            bus.close_if_silent(clocks.monotonic())
 
         shape = (len(clusters), i2c.INPUTS)
         capacitance = np.full(shape, np.nan)
@@ -145,9 +150,30 @@ class _Bus:
         self.given_up = ""  # why it is not read any more for the current trigger
         self.backoff = clocks.Backoff()
         self._closed_by = ""  # the fault that closed it
+        self._last_fault = ""
+        self._answered = self._failed = False  # a transfer, for the current trigger
+        self._silent = 0  # readings in a row with failed transfers only
         self._number = number
         self._open_bus = open_bus
         self._bus: i2c.I2cBus | None = None
+
+    def begin(self) -> None:
+        """Begin a reading."""
+        self.given_up = ""
+        self._answered = self._failed = False
+
+    def close_if_silent(self, now: float) -> None:
+        """End a reading at a time [s]; close the bus if nothing has answered for several.
+
+        Its adapter may be unplugged, whatever errors the kernel reports: it comes back only when
+        every open file of it is closed.
+        """
+        if self._answered:
+            self._silent = 0
+        elif self._failed:
+            self._silent += 1
+            if self._silent >= _MAX_SILENT and self._bus is not None:
+                self._close_after(self._last_fault, now)
 
     def unusable(self, now: float) -> str:
         """Why the bus cannot be used at a time [s]; empty if it is open or may be opened."""
@@ -161,16 +187,22 @@ class _Bus:
         later. One of several multiplexers fails for its own clusters alone.
         On a hanging bus every transfer takes its full timeout, so only one per trigger is tried.
         """
+        self._last_fault = str(error)
         if isinstance(error, i2c.BusTimeoutError):
             self.given_up = str(error)
         only_chip = not isinstance(error, i2c.BusError) or error.address == chip
         only_chip |= len(self.multiplexers) > 1  # the others' clusters go on
         if self._bus is not None and only_chip and not isinstance(error, i2c.BusGoneError):
             return True
-        self.given_up = self._closed_by = str(error)
+        self.given_up = str(error)
+        self._close_after(str(error), now)
+        return False
+
+    def _close_after(self, fault: str, now: float) -> None:
+        """Close the bus because of a fault at a time [s]; it is opened again later."""
+        self._closed_by = fault
         self.backoff.failed(now)
         self.close()
-        return False
 
     def open(self) -> None:
         if self._bus is None:
@@ -180,7 +212,12 @@ class _Bus:
         """Transfer messages; raises OSError like the bus itself."""
         if self._bus is None:
             raise OSError(errno.ENODEV, "the bus is closed")
-        self._bus.i2c_rdwr(*messages)
+        try:
+            self._bus.i2c_rdwr(*messages)
+        except OSError:
+            self._failed = True
+            raise
+        self._answered = True
 
     def select(self, multiplexer: int, channel: int) -> None:
         """Connect only one channel, 0..7 [1], of one multiplexer.
@@ -212,11 +249,11 @@ class _Bus:
     def _answers(self, multiplexer: int) -> bool:
         """Whether a chip answers with this multiplexer disconnected, too."""
         self.multiplexers[multiplexer].write_byte(0)
-        try:
-            self.i2c_rdwr(i2c_msg.read(self._chip, 1))
-        except OSError:
-            return False
-        return True
+        for _ in range(_TRIES):
+            with suppress(OSError):
+                self.i2c_rdwr(i2c_msg.read(self._chip, 1))
+                return True
+        return False
 
     def close(self) -> None:
         """Close the bus, unless it is closed already."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import binascii
+import errno
 import importlib
 import re
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.drivers import opening_failed
+from socket_testbed.drivers import GONE, lock_device, opening_failed
 from socket_testbed.errors import ConfigurationError, DeviceError
 
 _MAX_SINC3 = 1024  # a sinc1 filter follows for higher oversampling
@@ -58,14 +59,15 @@ def check_device(device: str) -> tuple[int, int]:
 
 
 def open_spi(device: str, clock: float) -> SpiDevice:
-    """Open /dev/spidevN.M in SPI mode 1.
+    """Open /dev/spidevN.M in SPI mode 1 and lock it against other programs.
 
     Args:
         device: Bus and chip select as 'N.M'.
         clock: Clock of the bus, 25 MHz at most for this converter [Hz].
 
     Raises:
-        DeviceError: The module spidev is not installed, or the device cannot be opened.
+        DeviceError: The module spidev is not installed, or the device cannot be opened; a
+            `DeviceBusyError` if another program has locked it.
     """
     bus, select = check_device(device)
     path = f"/dev/spidev{bus}.{select}"
@@ -80,6 +82,7 @@ def open_spi(device: str, clock: float) -> SpiDevice:
     spi = library.SpiDev()
     try:
         spi.open(bus, select)
+        lock_device(spi.fileno(), f"spidev{device}")
         spi.mode = 1  # clock idles low, data is latched on the falling edge
         spi.max_speed_hz = int(clock)
     except OSError as error:
@@ -89,8 +92,11 @@ def open_spi(device: str, clock: float) -> SpiDevice:
             error,
             group="spi",
             missing="enable SPI (dtparam=spi=on in config.txt), or set load_cell_node's device",
-            otherwise="check that nothing else uses it, and check load_cell_node's spi_clock",
+            otherwise="check load_cell_node's spi_clock, and that the controller has SPI mode 1",
         ) from None
+    except DeviceError:
+        spi.close()
+        raise
     return spi
 
 
@@ -113,6 +119,22 @@ def checksum(data: bytes, crc: str) -> int:
 
 class ChecksumError(DeviceError):
     """A frame does not match its checksum; its content is unusable."""
+
+
+class TransferError(DeviceError):
+    """The bus failed to transfer a frame."""
+
+
+def _transfer_failed(name: str, error: OSError) -> TransferError:
+    said = error.strerror or error
+    if error.errno in GONE | {errno.ENXIO}:
+        hint = "check the adapter or the overlay; it is opened again automatically"
+        return TransferError(f"{name}: the bus is gone ({said})", hint)
+    if error.errno == errno.ETIMEDOUT:
+        hint = "see dmesg; restart the computer if it persists"
+        return TransferError(f"{name}: the SPI controller hangs ({said})", hint)
+    hint = "check load_cell_node's device and spi_clock; restart the computer if it persists"
+    return TransferError(f"{name}: the bus fails ({said})", hint)
 
 
 @dataclass(frozen=True)
@@ -241,8 +263,9 @@ class Ads131m0x:
         """Read a frame.
 
         Raises:
-            DeviceError: The converter has lost its settings (configure it again), or the bus fails;
-                a `ChecksumError` for a corrupted frame, after which reading may go on.
+            DeviceError: The converter has lost its settings: configure it again. A `ChecksumError`
+                for a corrupted frame, or a `TransferError` for one that was not transferred, after
+                which reading may go on.
         """
         answer = self._exchange(_NULL)
         status = _response(answer)
@@ -313,10 +336,7 @@ class Ads131m0x:
         try:
             answer = bytes(self._spi.xfer2(list(frame)))
         except OSError as error:
-            raise DeviceError(
-                f"{self._name}: the bus fails ({error.strerror or error})",
-                "check the device and restart the computer if it persists",
-            ) from None
+            raise _transfer_failed(self._name, error) from None
         if not any(answer) or answer == b"\xff" * len(frame):
             raise DeviceError(
                 f"{self._name}: no answer (every bit reads {answer[0] & 1})",

@@ -16,7 +16,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers import ERROR, OK, RECENT, WARN
-from socket_testbed.drivers.gpio import EdgeLine
+from socket_testbed.drivers.gpio import EdgeLine, lines_failed
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MAX_TARE, LoadCellSettings
@@ -130,6 +130,7 @@ class ConverterReader:
         self._ends = ConversionClock(self.period)
         self._connected = -np.inf  # [s]
         self._matched = -np.inf  # time of the last valid frame [s]
+        self._transfer_failed = False  # the last one
 
         self._lock = threading.Lock()  # for all fields below
         # The last conversions in order of time [s], with their codes.
@@ -141,7 +142,10 @@ class ConverterReader:
         self._arrived = self._stored = clocks.monotonic()
         self._polled = self._arrived  # begin of the last poll [s]
         self._fault: DeviceError | None = None
-        self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
+        self._counts = dict.fromkeys(
+            ("conversions", "checksum_errors", "failed_transfers", "restarts"), 0
+        )
+        self._polling = False  # a poll is in progress
         if open_line is not None:
             self._counts["status_disagrees"] = 0
 
@@ -168,6 +172,7 @@ class ConverterReader:
         conversions in between are lost, as their times are unknown.
         """
         self._polled = clocks.monotonic()
+        self._polling = True
         try:
             if self._converter is None:
                 if self._backoff.due(clocks.monotonic()):
@@ -178,6 +183,8 @@ class ConverterReader:
                 self._read_waiting(self._converter)
         except DeviceError as error:
             self._fail(error)
+        finally:
+            self._polling = False
 
     def connect(self) -> ads131m0x.Ads131m0x:
         """Connect and configure the converter; not for use while another thread polls."""
@@ -236,7 +243,9 @@ class ConverterReader:
             return self._emptied >= self.end_time(until)
 
     def counts(self) -> dict[str, int]:
-        """Numbers since the start: `conversions`, `checksum_errors` and `restarts`.
+        """Numbers since the start, of conversions, corrupted or failed frames, and restarts.
+
+        They are `conversions`, `checksum_errors`, `failed_transfers` and `restarts`.
 
         With a DRDY line also `status_disagrees`: conversions with an edge that STATUS did not show.
         """
@@ -251,6 +260,9 @@ class ConverterReader:
                 found = ERROR, fault
             elif now - self._arrived > self._silence > 2.0 * (now - self._polled):
                 found = ERROR, self._error("no longer converts", _CHECK_CLOCK)
+            elif self._polling and now - self._polled > self._silence:
+                hint = "see dmesg for the SPI controller, or relieve the computer"
+                found = ERROR, self._error("a transfer does not end", hint)
             elif now - self._stored > self._silence:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
                 found = ERROR, self._error("conversions are read too late to date them", hint)
@@ -284,14 +296,23 @@ class ConverterReader:
     def _read(
         self, converter: ads131m0x.Ads131m0x, begin: float
     ) -> ads131m0x.ConverterFrame | None:
-        """Read a frame, starting at a time [s]; None if it is corrupted."""
+        """Read a frame, starting at a time [s]; None if it is corrupted, or once if it fails."""
         try:
             frame = converter.read()
+        except ads131m0x.TransferError:
+            if self._transfer_failed:
+                raise
+            self._transfer_failed = True
+            with self._lock:
+                self._counts["failed_transfers"] += 1
+            return None
         except ads131m0x.ChecksumError:
             with self._lock:
                 self._corrupted = begin
                 self._counts["checksum_errors"] += 1
+            self._transfer_failed = False
             return None
+        self._transfer_failed = False
         self._matched = clocks.monotonic()
         return frame
 
@@ -328,8 +349,7 @@ class ConverterReader:
         try:
             return line.edges(0.0)
         except OSError as error:
-            fact = f"DRDY's line fails ({error.strerror or error})"
-            raise self._error(fact, "check that no other program holds it") from None
+            raise lines_failed(f"{self._name}: the edges of DRDY", error) from None
 
     def _take(self, frame: ads131m0x.ConverterFrame, end: float | None) -> None:
         """Store the conversion just read, with its end time [s]; None: unknown."""

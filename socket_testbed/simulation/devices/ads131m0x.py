@@ -13,6 +13,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell.ads131m0x import checksum
 from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.simulation.devices.failed_transfer import FailedTransfer, next_failure
 
 _ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2 = range(6)  # those with an effect
 _RESET_BIT, _ANSI_BIT, _WORD_LENGTH = 0x0400, 0x0800, 0x0300
@@ -41,6 +42,7 @@ class SimulatedAds131m0x:
 
     Attributes:
         is_wired: Whether DRDY is connected; without it there are no edges.
+        failing: Single frames that fail, in their order; each is removed when it has failed.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class SimulatedAds131m0x:
         self._unplugged = False
         self._edges_until = self._supplied_since = now = clocks.monotonic()
         self.is_wired = True
+        self.failing: list[FailedTransfer] = []
         self._power_on(now)
 
     def _power_on(self, now: float) -> None:
@@ -114,8 +117,18 @@ class SimulatedAds131m0x:
             TypeError: The bytes are not ints, or there are none, as in spidev.
             ValueError: A byte is not in 0..255, which spidev would cut.
             OverflowError: There are more bytes than spidev transfers.
+            OSError: This frame fails.
         """
         _check_bytes(data)
+        failed = next_failure(self.failing)
+        if failed is not None and not failed.executed:
+            raise failed.error()
+        answer = self._exchange(data)
+        if failed is not None:
+            raise failed.error()
+        return answer
+
+    def _exchange(self, data: list[int]) -> list[int]:
         now = clocks.monotonic()
         if self._fault("unplugged"):
             self._unplugged = True

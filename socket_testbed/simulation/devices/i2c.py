@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial, reduce
@@ -14,8 +15,10 @@ from typing import TypeAlias
 from smbus2 import i2c_msg
 
 from socket_testbed import clocks
+from socket_testbed.drivers import DeviceBusyError
 from socket_testbed.drivers.clusters.i2c import I2cBus, bus_opening_failed
 from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.simulation.devices.failed_transfer import FailedTransfer, next_failure
 
 _BROWN_OUT_PERIOD = 0.3  # [s]
 _BEYOND = 1e3  # [pF]; out of range of every chip
@@ -164,15 +167,25 @@ class SimulatedI2cBus:
     Args:
         parts: What is on the bus itself: multiplexers, and chips without one.
         faults: Faults of `simulation.world`, read at each transfer.
+        failing: Single transfers that fail, in their order; each is removed when it has failed.
+
+    Attributes:
+        is_open: Whether it has not been closed; the kernel gives an unplugged adapter back only
+            when every open file of it is closed.
     """
 
     def __init__(
-        self, parts: Sequence[Part], faults: Mapping[str, float] = MappingProxyType({})
+        self,
+        parts: Sequence[Part],
+        faults: Mapping[str, float] = MappingProxyType({}),
+        failing: list[FailedTransfer] | None = None,
     ) -> None:
+        self.is_open = True
         self._parts = parts
         self._faults = faults
+        self._failing = [] if failing is None else failing
         self._owed = 0.0  # transfer time not yet slept [s]
-        self._is_gone = False
+        self._gone = 0  # errno of every transfer from now on
         for part in parts:
             part.host_restarted()
 
@@ -182,20 +195,36 @@ class SimulatedI2cBus:
         Raises:
             TypeError: An argument is no message, as in smbus2.
             OSError: The messages are not a transfer (EINVAL), no chip acknowledges (EREMOTEIO), the
-                bus hangs (ETIMEDOUT) or is gone (ENODEV).
+                bus hangs (ETIMEDOUT), is gone (ENODEV, or the errno of the fault) or is closed
+                (EBADF), or this transfer fails.
         """
         _check_transfer(messages)
-        if self._faults.get("clusters.unplugged", 0.0):
-            self._is_gone = True
+        if not self.is_open:
+            raise OSError(errno.EBADF, "the bus is closed (simulated)")
+        if unplugged := self._faults.get("clusters.unplugged", 0.0):
+            self._gone = unplugged_errno(unplugged)
             for part in self._parts:
                 part.power_up()
-        if self._is_gone:
-            raise OSError(errno.ENODEV, "the bus is gone (simulated)")
+        if self._gone:
+            raise OSError(self._gone, "the bus is gone (simulated)")
         hangs_for = self._faults.get("clusters.timeout", 0.0)
         if hangs_for:
             clocks.sleep(hangs_for)
             raise OSError(errno.ETIMEDOUT, "the bus hangs (simulated)")
+        failed = next_failure(self._failing)
+        if failed is not None and not failed.executed:
+            raise failed.error()
         self._take_time(sum(1 + message.len for message in messages))
+        self._carry_out(messages)
+        if failed is not None:
+            raise failed.error()
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether its adapter was unplugged since it was opened."""
+        return bool(self._gone)
+
+    def _carry_out(self, messages: Sequence[i2c_msg]) -> None:
         for message in messages:
             parts = [part for each in self._parts for part in each.parts_at(message.addr)]
             if not parts:
@@ -211,7 +240,7 @@ class SimulatedI2cBus:
 
     def close(self) -> None:
         """Close the bus: further transfers fail."""
-        self._is_gone = True
+        self.is_open = False
 
     def _take_time(self, transferred: int) -> None:
         self._owed += transferred * _BITS_PER_BYTE / _FREQUENCY
@@ -220,6 +249,11 @@ class SimulatedI2cBus:
             before = clocks.monotonic()
             clocks.sleep(self._owed)
             self._owed = max(self._owed - (clocks.monotonic() - before), -_MAX_CREDIT)
+
+
+def unplugged_errno(value: float) -> int:
+    """The errno that the fault `clusters.unplugged` stands for; 1 is the kernel's usual ENODEV."""
+    return errno.ENODEV if value == 1.0 else int(value)
 
 
 def _check_transfer(messages: Sequence[object]) -> None:
@@ -247,6 +281,10 @@ class SimulatedClusterHardware:
 
     Attributes:
         multiplexers: The multiplexers by number of the bus and address.
+        failing: Single transfers that fail, by number of the bus, in their order; a list that
+            tests fill.
+        is_locked: Whether the buses are locked by who opens them, as the drivers lock the device
+            files; without it, two readers may use one bus.
     """
 
     def __init__(
@@ -269,14 +307,18 @@ class SimulatedClusterHardware:
                 self.multiplexers[bus, address] = SimulatedTca9548a(address)
                 self._buses[bus].append(self.multiplexers[bus, address])
             self.multiplexers[bus, address].chips[channel] = made
+        self.failing: dict[int, list[FailedTransfer]] = defaultdict(list)
+        self.is_locked = True
         self._faults = faults
+        self._opened: dict[int, list[SimulatedI2cBus]] = defaultdict(list)
 
     def open_bus(self, number: int) -> I2cBus:
         """Open a bus by its number; unplugged chips come back reset.
 
         Raises:
             TypeError: The number is no int, as in smbus2.
-            DeviceError: The bus is unplugged, or has no chips: it is missing.
+            DeviceError: The bus is unplugged, was not closed since, or has no chips: it is missing.
+            DeviceBusyError: It is open and locked.
         """
         if not isinstance(number, int):
             raise TypeError(f"Unexpected type(bus)={type(number)}")
@@ -284,6 +326,10 @@ class SimulatedClusterHardware:
         if unplugged := self._faults.get("clusters.unplugged", 0.0):
             for part in parts:
                 part.power_up()
-        if unplugged or not parts:
+        opened = self._opened[number] = [bus for bus in self._opened[number] if bus.is_open]
+        if unplugged or not parts or any(bus.is_gone for bus in opened):
             raise bus_opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
-        return SimulatedI2cBus(parts, self._faults)
+        if opened and self.is_locked:
+            raise DeviceBusyError(f"i2c-{number}", f"process {os.getpid()}, simulated")
+        opened.append(SimulatedI2cBus(parts, self._faults, self.failing[number]))
+        return opened[-1]
