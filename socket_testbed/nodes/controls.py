@@ -122,7 +122,8 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     node = rclpy.create_node("event_marker", namespace=namespace)
     step = partial(rclpy.spin_once, node, timeout_sec=_POLL_INTERVAL)
     try:
-        return EventMarker(node, partial(_wait, step=step)).mark(label, called)
+        with base.Waker([node]):
+            return EventMarker(node, partial(_wait, step=step)).mark(label, called)
     finally:
         node.destroy_node()
         rclpy.shutdown()
@@ -371,6 +372,7 @@ class StatusListener:
         self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
         qos = {topic: base.subscriber_qos(topic) for topic in self._topics}
         self._inbox = base.Inbox("status_listener", namespace, qos)
+        self._waker = base.Waker([self._inbox.node]).__enter__()
         self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
 
     def take(self) -> None:
@@ -407,5 +409,6 @@ class StatusListener:
 
     def close(self) -> None:
         """Disconnect from the graph."""
+        self._waker.__exit__()
         self._inbox.close()
         rclpy.try_shutdown()
