@@ -397,6 +397,7 @@ class StatusListener:
             self._status.variant = base.decoded(topic, data).variant
         elif topic is RECORDED_TRIAL:
             self._announced = base.decoded(topic, data).data
+            self._status.trials |= {self._announced} - {""}
         else:
             self._status.add(topic, *self._readers[topic].read(data))
 

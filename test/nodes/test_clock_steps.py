@@ -71,12 +71,9 @@ def test_nobody_falls_silent_after_a_step(tmp_path: Path, monkeypatch: pytest.Mo
         live.wait_for_triggers(20)
         clock.set(-7200.0)
         seen = {node: len(live.probe.said(f"{node}_node")) for node in NODES}
-        live.wait_for("trigger_node", "WARN", r"system clock was set by -7200\.\d{3} s")
         for node, before in seen.items():
             live.probe.wait(
-                lambda node=node, before=before: (
-                    len(live.probe.said(f"{node}_node")) > before + 3
-                ),
+                lambda node=node, before=before: len(live.probe.said(f"{node}_node")) > before + 3,
                 f"reports of {node}_node",
             )
         live.switch("load_cell.unplugged", 1)
