@@ -104,6 +104,14 @@ def disk_hint(error: OSError) -> str:
     return _DISK_HINTS.get(error.errno or 0, gone)
 
 
+def is_reachable(path: Path) -> bool:
+    """Whether a path exists and its disk answers."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
 def sync(path: Path) -> None:
     """Flush a file or the entries of a folder to the disk."""
     descriptor = os.open(path, os.O_RDONLY)

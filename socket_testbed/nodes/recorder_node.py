@@ -34,7 +34,7 @@ from std_srvs.srv import SetBool
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
-from socket_testbed.files import disk_hint, is_held, refuse_existing
+from socket_testbed.files import disk_hint, is_held, is_reachable, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
 from socket_testbed.trials import metadata
@@ -228,8 +228,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._bag = None
             bag.abandon()
             self._announce()
-            there = os.path.isdir(bag.path)  # unlike Path.is_dir, without an error of its own
-            state = "keeps its data" if there else "is gone"
+            state = "keeps its data" if is_reachable(bag.path) else "is gone"
             self.report(
                 ERROR,
                 f"recording stopped, {bag.path} {state} ({error.strerror}): {disk_hint(error)}",

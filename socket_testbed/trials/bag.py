@@ -737,7 +737,7 @@ class BagWriter:
         file = self._storage.bio.fileno()
         os.fsync(file)
         # A bag that was moved meanwhile still has its name, elsewhere.
-        if not os.fstat(file).st_nlink and not os.path.exists(self.path):
+        if not os.fstat(file).st_nlink and not self.path.exists():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
 
     @property
