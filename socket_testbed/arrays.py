@@ -5,7 +5,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -84,9 +83,11 @@ def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
         longer: Length above which a step counts, in usual steps [-].
     """
     steps, width = np.diff(time), 2 * _AROUND + 1
-    few = len(steps) < width
-    usual = usual_period(time) if few else median_filter(steps, width, mode="mirror")
-    return np.asarray(steps > longer * usual)
+    if len(steps) < width:
+        return np.asarray(steps > longer * usual_period(time))
+    from scipy.ndimage import median_filter  # 15 MB, which nodes need not hold
+
+    return np.asarray(steps > longer * median_filter(steps, width, mode="mirror"))
 
 
 def sample_at(time: FloatArray, when: float) -> int | None:

@@ -101,6 +101,32 @@ class SteadyClock:
         return (self._wall() - self.now()) * 1e-9
 
 
+_MIN_STEP_BACK = 0.001  # [s]; the slewing of NTP is slower
+
+
+class StepsBack:
+    """Notices that the system clock was set back.
+
+    Args:
+        wall: The system clock [s].
+        steady: The steady clock of the machine [s].
+    """
+
+    def __init__(
+        self,
+        wall: Callable[[], float] = time.time,
+        steady: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._wall = wall
+        self._steady = steady
+        self._difference = wall() - steady()
+
+    def noticed(self) -> bool:
+        """Whether the system clock was set back since the last call, by more than 1 ms."""
+        before, self._difference = self._difference, self._wall() - self._steady()
+        return self._difference < before - _MIN_STEP_BACK
+
+
 _MAX_SKEW = 0.002  # [s]; clock difference between two processes
 _MAX_DELAY = 0.5  # [s]; of a trigger's arrival
 _MAX_SPREAD = 0.005  # [s]; of the differences of triggers that are not delayed

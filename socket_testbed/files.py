@@ -87,6 +87,31 @@ def end_with_starter() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+# Hints by the kind of error; any other is taken for a disk that is not there any more.
+_DISK_HINTS = {
+    errno.ENOSPC: "make space",
+    errno.EDQUOT: "make space, or raise the quota",
+    errno.EFBIG: "its file system takes no larger file: use a disk with ext4 or exFAT",
+    errno.EROFS: "it is mounted read-only: check its file system for errors, and mount it again",
+    errno.EACCES: "check the permissions",
+    errno.EPERM: "check the permissions",
+}
+
+
+def disk_hint(error: OSError) -> str:
+    """A hint for an error of a disk while it is read or written."""
+    gone = "check that its disk is connected, and what dmesg says of it"
+    return _DISK_HINTS.get(error.errno or 0, gone)
+
+
+def is_reachable(path: Path) -> bool:
+    """Whether a path exists and its disk answers."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
 def sync(path: Path) -> None:
     """Flush a file or the entries of a folder to the disk."""
     descriptor = os.open(path, os.O_RDONLY)

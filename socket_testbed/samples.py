@@ -9,7 +9,6 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.errors import ConfigurationError
@@ -126,6 +125,8 @@ def turned(rotation: FloatArray, by: FloatArray) -> FloatArray:
     known = np.isfinite(rotation).all(axis=1)
     found = np.full(rotation.shape, np.nan)
     if known.any():
+        from scipy.spatial.transform import Rotation  # 15 MB, which not every node needs
+
         product = Rotation.from_rotvec(rotation[known]) * Rotation.from_rotvec(by)
         found[known] = product.as_rotvec()
     return found
@@ -189,6 +190,8 @@ class Samples:
     @property
     def attitude(self) -> FloatArray:
         """Rotation vector of the limb's mean attitude in {S}, shape (3,) [rad]; 0 if unknown."""
+        from scipy.spatial.transform import Rotation  # 15 MB, which not every node needs
+
         known = self.rotation[self.has_pose]
         return Rotation.from_rotvec(known).mean().as_rotvec() if len(known) else np.zeros(3)
 

@@ -48,12 +48,12 @@ COMPARED: dict[str, tuple[list[str], dict[str, list[str]] | None, str]] = {
     "empty": ([], {"x": ["a"], "y": []}, "the condition 'y' has no trial: name its trials"),
     "one": (
         *([], {"x": ["a"]}),
-        "conditions to compare: 1: give 2 to 12, or 'pressure FOLDER -o OUTPUT' for a table with"
+        "conditions to compare: 1: give 2 to 200, or 'pressure FOLDER -o OUTPUT' for a table with"
         " all trials",
     ),
     "none": (
         *([], None),
-        "trials to compare: 0: give 2 to 12, or 'pressure FOLDER -o OUTPUT' for a table with all"
+        "trials to compare: 0: give 2 to 200, or 'pressure FOLDER -o OUTPUT' for a table with all"
         " trials",
     ),
     "model": (

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from socket_testbed.clocks import BEGINNING, SteadyClock, TriggerPeriod, TriggerTime
+from socket_testbed.clocks import BEGINNING, SteadyClock, StepsBack, TriggerPeriod, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -45,6 +45,22 @@ def test_a_clock_starts_at_the_system_s_time() -> None:
     clock = clocks.clock()
     assert clock.to_epoch(clocks.steady * 1e-9) == START
     assert clock.to_steady(START) == clocks.steady * 1e-9
+
+
+@pytest.mark.parametrize(
+    ("step", "back"),
+    [(-7200.0, True), (-0.002, True), (-0.0005, False), (3600.0, False)],
+    ids=["two-hours-back", "2-ms-back", "slewed", "an-hour-on"],
+)
+def test_a_step_back_is_noticed_once(step: float, back: bool) -> None:
+    clocks = Clocks()
+    steps = StepsBack(lambda: 1e-9 * clocks.wall, lambda: 1e-9 * clocks.steady)
+    clocks.pass_time(10**9)
+    assert not steps.noticed()
+    clocks.wall += round(step * 1e9)
+    assert steps.noticed() == back
+    clocks.pass_time(10**9)
+    assert not steps.noticed()
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, robust_deviation
 from socket_testbed.calibration.bench_data import STRESSES, BenchData, scaled_stress
@@ -216,6 +215,8 @@ def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
     Returns:
         Converter input, 0 to 3, of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y), shape (4,).
     """
+    from scipy.optimize import linear_sum_assignment  # 5 MB, which nodes need not hold
+
     slopes = np.linalg.lstsq(*_response(capacitance, stress), rcond=None)[0][2:]
     slopes = slopes - slopes.mean(axis=1, keepdims=True)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)

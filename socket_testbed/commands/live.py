@@ -26,7 +26,7 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
-from socket_testbed.files import check_new_folder, is_held
+from socket_testbed.files import check_new_folder, disk_hint, is_held
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live import bringup
 from socket_testbed.live.doctor import REPORTING, examine, examine_running, press_test
@@ -278,12 +278,20 @@ def run(
         except KeyboardInterrupt:
             status.say("ending")
         bringup.end(graph, testbed)
+    announced = status.trials if testbed.record is not None else set()
+    expected = {place[0] / name for name in announced if name.startswith(place[1])}
+    # A recorder that was restarted or asked for another trial has recorded several.
+    _summarise(sorted(_trials(*place) - older | expected))
+
+
+def _summarise(trials: Iterable[Path]) -> None:
+    """Print a summary of each recorded trial; raise the error of the first that is incomplete."""
     from socket_testbed.trials.description import summary  # pandas would delay the start
 
-    # A recorder that was restarted or asked for another trial has recorded several.
     failed = []
-    for trial in sorted(_trials(*place) - older):
+    for trial in trials:
         try:
+            _require_disk(trial)
             print(summary(trial))
             _require_end(trial)
         except TrialError as error:  # such as one without a trigger
@@ -296,18 +304,34 @@ def run(
 
 def _trials(folder: Path, name: str) -> set[Path]:
     """Trials in a folder with this name prefix that are not being written."""
-    found = {file.parent for file in folder.glob(f"{glob.escape(name)}*/*.mcap")}
-    return {trial for trial in found if not is_held(trial)}
+    try:
+        found = {file.parent for file in folder.glob(f"{glob.escape(name)}*/*.mcap")}
+        return {trial for trial in found if not is_held(trial)}
+    except OSError:  # the disk was unplugged
+        return set()
+
+
+def _require_disk(trial: Path) -> None:
+    """Raise an error if a recording is not there any more."""
+    try:
+        next(trial.iterdir(), None)
+    except FileNotFoundError:
+        raise TrialError(
+            f"{trial}: is not there any more",
+            "connect its disk again, or look where it was moved to; what reached the disk is on it",
+        ) from None
+    except OSError as error:
+        raise TrialError(
+            f"{trial}: cannot be read any more ({error.strerror})", disk_hint(error)
+        ) from None
 
 
 def _require_end(trial: Path) -> None:
     """Raise an error if a recording is incomplete."""
-    if not trial.exists():
-        raise TrialError(f"{trial}: nothing was recorded", "read the recorder's messages")
     if not (trial / BAG_METADATA).exists():
         raise TrialError(
             f"{trial}: the recording stopped early; the trial keeps the data so far",
-            "free disk space, and read the recorder's messages",
+            "read the recorder's messages on the cause, such as a full or unplugged disk",
         )
 
 
@@ -402,6 +426,9 @@ def record(
         except KeyboardInterrupt:
             graph.stop()
     print(directory)
+    if not status.trials and not directory.exists():
+        raise TrialError(f"{directory}: nothing was recorded", "read the recorder's messages")
+    _require_disk(directory)
     _require_end(directory)
 
 

@@ -191,6 +191,11 @@ class StatusLine:
         """Whether a trigger has been received."""
         return self._status.triggers > 0
 
+    @property
+    def trials(self) -> set[str]:
+        """Names of all trials whose recording was announced."""
+        return self._status.trials
+
     def renew(self) -> None:
         """Print new output of the nodes, and the status when due."""
         if self._is_pressed():

@@ -25,6 +25,7 @@ class GraphStatus:
         wrench: The newest measured wrench [M; F] in {S}, shape (6,) [N m, N]; None before any.
         variant: Variant of the predicting model; empty before the first.
         trial: Name of the trial being recorded; empty if none.
+        trials: Names of all trials whose recording was announced.
         heard: Arrival of the newest trigger on the monotonic clock [s]; None before any.
     """
 
@@ -34,6 +35,7 @@ class GraphStatus:
         self.wrench: FloatArray | None = None
         self.variant = ""
         self.trial = ""
+        self.trials: set[str] = set()
         self.heard: float | None = None
         self._first = self._last = 0  # stamps of triggers [ns]
         self._pending: dict[int, set[topics.Topic]] = {}

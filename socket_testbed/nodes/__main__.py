@@ -33,7 +33,7 @@ try:
     from socket_testbed.files import end_with_starter
     from socket_testbed.live.processes import RESTARTED, SPARE
     from socket_testbed.live.scheduling import schedule
-    from socket_testbed.nodes.base import TestbedNode
+    from socket_testbed.nodes.base import TestbedNode, Waker
     from socket_testbed.settings.acquisition import SchedulingSettings
     from socket_testbed.settings.testbed import TestbedSettings
 except ModuleNotFoundError as error:
@@ -97,7 +97,8 @@ def _run(names: list[str]) -> int:
                 ready = rclpy.create_node(
                     "_spare", start_parameter_services=False, enable_rosout=False
                 )
-                names, TestbedNode.arguments = _split(_await_replacement())
+                with Waker([ready]):
+                    names, TestbedNode.arguments = _split(_await_replacement())
             nodes = []
             for name in names:
                 nodes.append(_node_class(name)())
@@ -142,7 +143,7 @@ def _spin(nodes: list[TestbedNode[Any]]) -> None:
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
-    with suppress(ExternalShutdownException):
+    with Waker(nodes), suppress(ExternalShutdownException):
         # In Jazzy, the wait of the events executor's spin() overflows; this call's does not. It
         # notices the end of the first node at once.
         while rclpy.ok() and not any(node.finished.done() for node in nodes):

@@ -12,11 +12,13 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -53,6 +55,8 @@ HEARS = "hears"  # topics from which it needs a publisher, separated by blanks
 _SUBSCRIBER_DEPTH = 2000  # [messages]; enough for a fast replay or a busy moment
 REPORT_PERIOD = 1.0  # [s]
 _CHECK_PERIOD = 0.1  # [s]; of links and node
+_WAKE_PERIOD = 0.1  # [s]; of looks at the system clock
+_WAKE_TOPIC = "_waker"  # hidden; nothing is published on it
 _REPEAT_PERIOD = 10.0  # [s]; of a warning on messages that cannot be decoded
 
 S = TypeVar("S", bound=Settings)
@@ -198,6 +202,57 @@ def recorded_trial(node: Node, announced: str) -> str:
     return announced if node.count_publishers(RECORDED_TRIAL.name) else ""
 
 
+class Waker:
+    """Keeps ROS from standing still after the system clock was set back; a context manager.
+
+    ROS from wheels waits on the system clock: timers, timeouts and the middleware's announcements
+    stand still for as long as the step, and a process that sends nothing else is forgotten after
+    20 s. A wait that begins after the step is right, so one wake-up is enough. A thread of its own
+    compares the system clock with the steady clock.
+
+    Args:
+        nodes: The nodes of the process, at least one.
+    """
+
+    def __init__(self, nodes: Sequence[Node]) -> None:
+        self._nodes = nodes
+        self._ended = False
+        self._waking = threading.Lock()
+        self._steps = clocks.StepsBack()
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._run, name="waker", daemon=True).start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with self._waking:  # the nodes may be destroyed from now on
+            self._ended = True
+
+    def _run(self) -> None:
+        stepped = False
+        while not self._ended:
+            # Other waits of Python may use the system clock, depending on its build.
+            time.sleep(_WAKE_PERIOD)
+            # The second time for a wait that began during the step.
+            before, stepped = stepped, self._steps.noticed()
+            if before or stepped:
+                with self._waking:
+                    if not self._ended:
+                        self.wake()
+
+    def wake(self) -> None:
+        """Let all timers and the middleware of the process begin their waits again."""
+        node = self._nodes[0]
+        try:
+            # The middleware's thread for timed events begins its wait again with each new endpoint.
+            node.destroy_publisher(node.create_publisher(Header, _WAKE_TOPIC, 1))
+            for timer in [timer for node in self._nodes for timer in node.timers]:
+                timer.reset()
+        except Exception:
+            if node.context.ok():  # Ctrl-C ends ROS at any moment
+                raise
+
+
 class RecentFault:
     """The last fault in a node's thread."""
 
@@ -292,6 +347,8 @@ class TestbedNode(Node, Generic[S]):
 
     def repeat(self, period: float, callback: Callable[[], None]) -> None:
         """Call back periodically, even if the system clock jumps or a replay pauses.
+
+        With ROS from wheels this needs a `Waker` in the process.
 
         Args:
             period: Time between two calls, on the steady clock of the machine [s].

@@ -127,7 +127,8 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     node = rclpy.create_node("event_marker", namespace=namespace)
     step = partial(rclpy.spin_once, node, timeout_sec=_POLL_INTERVAL)
     try:
-        return EventMarker(node, partial(_wait, step=step)).mark(label, called)
+        with base.Waker([node]):
+            return EventMarker(node, partial(_wait, step=step)).mark(label, called)
     finally:
         node.destroy_node()
         rclpy.shutdown()
@@ -415,6 +416,7 @@ class StatusListener:
         self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
         qos = {topic: base.subscriber_qos(topic) for topic in self._topics}
         self._inbox = base.Inbox("status_listener", namespace, qos)
+        self._waker = base.Waker([self._inbox.node]).__enter__()
         self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
 
     def take(self) -> None:
@@ -439,6 +441,7 @@ class StatusListener:
             self._status.variant = base.decoded(topic, data).variant
         elif topic is RECORDED_TRIAL:
             self._announced = base.decoded(topic, data).data
+            self._status.trials |= {self._announced} - {""}
         else:
             self._status.add(topic, *self._readers[topic].read(data))
 
@@ -451,5 +454,6 @@ class StatusListener:
 
     def close(self) -> None:
         """Disconnect from the graph."""
+        self._waker.__exit__()
         self._inbox.close()
         rclpy.try_shutdown()

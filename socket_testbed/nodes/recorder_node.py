@@ -16,10 +16,11 @@ The other files of a trial are read at the start and cannot be changed afterward
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from functools import partial
 from itertools import count
@@ -33,7 +34,7 @@ from std_srvs.srv import SetBool
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
-from socket_testbed.files import is_held, refuse_existing
+from socket_testbed.files import disk_hint, is_held, is_reachable, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
 from socket_testbed.trials import metadata
@@ -110,8 +111,10 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         """The trial, its recorded duration [s], free space [bytes], and message counts by topic."""
         elapsed = clocks.monotonic() - self._began if self._bag is not None else 0.0
         place = self._path or self._directory
-        made = next(path for path in (place, *place.parents) if path.exists())
-        free = shutil.disk_usage(made).free
+        free = math.nan
+        with suppress(OSError):  # the disk was unplugged
+            made = next(path for path in (place, *place.parents) if path.exists())
+            free = shutil.disk_usage(made).free
         return {"trial": self._path or "", ELAPSED: round(elapsed, 1), FREE: free, **self._counts}
 
     def _on_record(self, wanted: bool) -> str:
@@ -128,7 +131,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             if self._bag is None:
                 return "nothing was being recorded"
             self.close()
-            if self._level == ERROR:  # the disk is full
+            if self._level == ERROR:  # the disk failed
                 raise TestbedError(*fact_and_hint(self._message))
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
 
@@ -193,7 +196,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         """Close the trial, if one is being recorded."""
         if self._bag is None:
             return
-        with self._until_full(self._bag):
+        with self._until_disk_fails(self._bag):
             self._bag.__exit__(None, None, None)
             self._bag = None
             self._announce()
@@ -207,27 +210,28 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         """Record a serialised message of a topic, given by its full name, as arrived now."""
         if self._bag is None:
             return
-        with self._until_full(self._bag):
+        with self._until_disk_fails(self._bag):
             self._bag.write(name, self._now(), data)
             self._counts[name] += 1
 
     def _flush(self) -> None:
         if self._bag is not None:
-            with self._until_full(self._bag):
+            with self._until_disk_fails(self._bag):
                 self._bag.flush()
 
     @contextmanager
-    def _until_full(self, bag: BagWriter) -> Iterator[None]:
-        """End the recording if the disk is full; keep the data on it and report the fault."""
+    def _until_disk_fails(self, bag: BagWriter) -> Iterator[None]:
+        """End the recording if the disk is full or gone, and report the fault."""
         try:
             yield
         except OSError as error:
             self._bag = None
             bag.abandon()
             self._announce()
+            state = "keeps its data" if is_reachable(bag.path) else "is gone"
             self.report(
                 ERROR,
-                f"recording stopped, {self._path} keeps its data ({error.strerror}): make space",
+                f"recording stopped, {bag.path} {state} ({error.strerror}): {disk_hint(error)}",
             )
 
     def _announce(self) -> None:

@@ -7,6 +7,7 @@ part that can be read is read, whatever its name; notes name the parts that are 
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import zlib
@@ -23,7 +24,7 @@ from rosbags import interfaces
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from socket_testbed.errors import TrialError, listed
-from socket_testbed.files import TemporaryFolder, hold, sync
+from socket_testbed.files import TemporaryFolder, disk_hint, hold, sync
 from socket_testbed.trials.bag_parts import (
     BAG_METADATA,
     COPY_AGAIN,
@@ -314,7 +315,7 @@ class BagReader:
                 return _Part(file.name, stated, promised, storage=self._open(file))
             except OSError as failure:
                 fact = f"{file}: cannot be read ({failure.strerror})"
-                error = error or TrialError(fact, "check the permissions")
+                error = error or TrialError(fact, disk_hint(failure))
             except TrialError as failure:
                 error = error or failure
         if error is None:
@@ -621,7 +622,7 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
         empty = sorted(name for name, path in found.items() if holds_nothing(path))
     except OSError as error:
         fact = f"{error.filename}: cannot be read ({error.strerror})"
-        raise TrialError(fact, "check the permissions") from None
+        raise TrialError(fact, disk_hint(error)) from None
     for name in empty:
         notify(f"{name} is left out: it holds nothing, its recorder was killed while it started")
         del found[name]
@@ -726,10 +727,18 @@ class BagWriter:
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
-        """Flush all messages so far to the disk as a chunk that survives a power cut."""
+        """Flush all messages so far to the disk as a chunk that survives a power cut.
+
+        Raises:
+            OSError: If the disk does not take them, or the bag was removed meanwhile.
+        """
         self._close_chunk()
         self._storage.bio.flush()
-        os.fsync(self._storage.bio.fileno())
+        file = self._storage.bio.fileno()
+        os.fsync(file)
+        # A bag that was moved meanwhile still has its name, elsewhere.
+        if not os.fstat(file).st_nlink and not self.path.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
 
     @property
     def _storage(self) -> Any:

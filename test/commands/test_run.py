@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -73,6 +74,31 @@ def test_run_records_until_ctrl_c(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert trial.metadata == TrialMetadata("S01", "left")
     assert trial.estimator.identification.variant == "stiffness"
     assert read_testbed(path / "testbed.yaml").trigger_node.rate == 20.0
+
+
+@pytest.mark.parametrize("verb", ["run", "record"])
+def test_a_trial_that_went_away_is_named(verb: str, tmp_path: Path) -> None:
+    """As after a disk was unplugged and unmounted: its folder is not there any more."""
+    path = tmp_path / "disk" / "trial"
+    path.parent.mkdir()
+    words = ["run", *SIMULATED, "--record"] if verb == "run" else ["record"]
+    call = [*COMMAND, *words, str(path)]
+    with Probe() as probe, Running(call, stderr=subprocess.PIPE, text=True) as process:
+        said = probe.listen(topics.RECORDED_TRIAL)
+        measured = probe.listen(topics.WRENCH)
+        probe.wait(lambda: bool(said) and said[-1].data == "trial", "the recording")
+        if verb == "run":
+            probe.wait(lambda: len(measured) > 2, "measurements")
+        shutil.rmtree(path.parent)
+        gone = "is gone (No such file or directory): check that its disk is connected"
+        probe.wait(lambda: bool(probe.said("recorder_node", gone)), "the recorder's word")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=HANGS)
+    assert process.returncode == 1 and "Traceback" not in err
+    assert err.splitlines()[-1] == (
+        f"socket-testbed {verb}: error: {path}: is not there any more: connect its disk again, or"
+        " look where it was moved to; what reached the disk is on it"
+    )
 
 
 SLOWER = "this machine is busy: the simulated testbed runs at {}\n"
@@ -270,5 +296,5 @@ def test_a_full_disk_is_an_error(tmp_path: Path) -> None:
     limited = ["bash", "-c", 'ulimit -f 1200; exec "$@"', "_", *COMMAND]
     code, out, err = program(*limited, *words)
     assert code == 1 and "recording stopped" in err, err
-    assert err.splitlines()[-1].endswith("free disk space, and read the recorder's messages")
+    assert err.splitlines()[-1].endswith("cause, such as a full or unplugged disk")
     assert "triggers" in out and len(Trial(tmp_path / "full").samples()) > 100

@@ -41,10 +41,10 @@ def test_the_paper_counts_samples_of_the_objective(
         used = samples[samples.has_pose_and_wrench]
         made = results_by_hand.fit_by_hand(used, trial.geometry, settings)
         made = replace(made, errors=evaluate(used, made.model))
-        return api.TrialFit(trial, st.select_segment(samples, segment), made)
+        return api.TrialFit(trial, trial.select(segment), made)
 
     fronts = results_by_hand.fronts_by_hand()
-    traded = api.Tradeoff(lacking, st.select_segment(lacking.samples(), "all"), fronts)
+    traded = api.Tradeoff(lacking, lacking.select("all"), fronts)
     monkeypatch.setattr(tradeoff, "fit", fit)
     monkeypatch.setattr(tradeoff, "pareto", lambda *_, **__: traded)
     found = st.paper(lacking, "all")

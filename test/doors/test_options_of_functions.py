@@ -86,13 +86,6 @@ def call_check_data(stage: Stage, **options: Any) -> None:
 
 
 @calls
-def call_select_segment(stage: Stage, **options: Any) -> None:
-    samples = stage.trial.samples()
-    options = {"specification": "all"} | options
-    stage.seen["segment"] = str(st.select_segment(samples, **options))
-
-
-@calls
 def call_simulate(stage: Stage, **options: Any) -> None:
     for kind in ("socket", "calibration"):
         stage.replace(f"api.trials.read_{kind}", lambda path, kind=kind: f"{kind} {path.name}")
@@ -168,7 +161,7 @@ def _fitted(stage: Stage) -> Callable[..., Any]:
         stage.seen |= {f"{variant}: {name}": plain(value) for name, value in choices.items()}
         stage.seen[f"{variant}: segment"] = segment
         fit = SimpleNamespace(errors=(), settings=IdentificationSettings(), samples=3)
-        whole = st.select_segment(trial.samples(), "all")
+        whole = trial.select("all")
         return SimpleNamespace(fit=fit, segment=whole)
 
     return fitted
@@ -512,7 +505,6 @@ CASES: dict[str, Cases] = {
         "remove": (["mass"], {"mass [kg]": None}),
     },
     "check_data": {},
-    "select_segment": {"specification": ("2:5", {"segment": SPAN})},
     "simulate": {
         "scenario": ("ramp", {"scenario": "ramp"}),
         "tissue": ("stiff", {"tissue": "stiff"}),
@@ -795,7 +787,6 @@ def test_clusters_beside_proposals_stay(stage: Stage) -> None:
 
 DEFAULTS: dict[str, dict[str, Any]] = {
     "open_trial": {"tare": "recorded"},
-    "select_segment": {"specification": "plateau"},
     "simulate": {
         "scenario": "static_hold",
         "tissue": "soft",

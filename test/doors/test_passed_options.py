@@ -29,7 +29,7 @@ def test_motion_and_shares_are_of_averaged_poses(
 ) -> None:
     settings = replace(trial.estimator.identification, pose_smoothing=window)
     made = results_by_hand.fit_by_hand(trial.samples(), trial.geometry, settings)
-    found = api.TrialFit(trial, st.select_segment(trial.samples(), "all"), made)
+    found = api.TrialFit(trial, trial.select("all"), made)
     asked: dict[str, Any] = {}
 
     def motion(samples: Any, geometry: Any, over: float = 0.0) -> None:
@@ -167,7 +167,7 @@ def test_a_row_has_the_largest_residual_and_gap(worst: str, trial: Trial) -> Non
     certificate = replace(stage.certificate, primal=9e-3, stationarity=7e-3, gap=8e-3)
     made = replace(made, **{worst: replace(stage, certificate=certificate)})
     made = replace(made, errors=evaluate(trial.samples(), made.model))
-    found = api.TrialFit(trial, st.select_segment(trial.samples(), "0:1"), made)
+    found = api.TrialFit(trial, trial.select("0:1"), made)
     row = results._fit_row(found)
     assert (row["kkt_residual [-]"], row["duality_gap [-]"]) == (7e-3, 8e-3)
     assert np.isfinite(float(row["theta [-]"]))  # type: ignore[arg-type]

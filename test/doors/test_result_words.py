@@ -76,7 +76,7 @@ def test_a_solution_that_is_not_unique_is_told(
     )
     judged = evaluate(trial.samples(), made.model)
     made = replace(made, stage_one=next(stages), stage_two=next(stages), errors=judged)
-    found = api.TrialFit(trial, st.select_segment(trial.samples(), "all"), made)
+    found = api.TrialFit(trial, trial.select("all"), made)
     results._show_fit(found, {"output": "model.json"})
     assert ("warning: the solution is not unique" in capsys.readouterr().out) is warned
 
@@ -88,7 +88,7 @@ def test_a_batch_tells_the_worst_finding() -> None:
     said: list[str] = []
     found = tuple(DataFinding(name, "is odd", "look at it") for name in ("worst", "mild"))
     trial: Any = SimpleNamespace(problems=lambda left: found, note=said.append)
-    assert options.report_data(trial, good=False) == "look at worst: is odd; look at it"
+    assert options.report_data(trial, good=False) == "check worst: is odd; look at it"
     assert said == [str(each) for each in found]
 
 

@@ -196,7 +196,7 @@ def test_topics_have_the_contract_s_names_and_types() -> None:
     transforms = topics.TF, topics.TF_STATIC
     assert [(t.name, t.type, t.latched) for t in transforms] == [
         ("tf", "tf2_msgs/msg/TFMessage", False),
-        ("/tf_static", "tf2_msgs/msg/TFMessage", True),
+        ("tf_static", "tf2_msgs/msg/TFMessage", True),
     ]
     assert topics.RECORDED_TRIAL.name == "recorder/trial" and topics.RECORDED_TRIAL.latched
 

@@ -151,10 +151,10 @@ def test_a_full_disk_keeps_the_recording(tmp_path: Path) -> None:
 
         def send_until_full() -> bool:
             send(10)
-            return bool(probe.said(NODE, "make space"))
+            return bool(probe.said(NODE, "takes no larger file"))
 
         probe.wait(send_until_full, "the recorder's word about the disk")
-        assert probe.said(NODE, "make space")[0].level == DiagnosticStatus.ERROR
+        assert probe.said(NODE, "takes no larger file")[0].level == DiagnosticStatus.ERROR
         probe.wait(lambda: [m.data for m in announced][-1:] == [""], "no trial's name")
         assert record(probe, False) == "nothing was being recorded"
     numbers, _ = recorded(trial)

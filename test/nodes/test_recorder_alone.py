@@ -1,6 +1,8 @@
 """The recorder without a graph: where trials go, what they hold, and what is said of them."""
 
+import errno
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -180,16 +182,68 @@ def test_a_restarted_recorder_leaves_the_first_trial(make: Maker, folder: Path) 
     assert make.state() == (WARN, words) and announced(make)[-1] == "trials_2"
 
 
-def test_a_full_disk_ends_the_recording(make: Maker, folder: Path) -> None:
+GONE = "check that its disk is connected, and what dmesg says of it"
+
+
+@pytest.mark.parametrize(
+    ("number", "hint"),
+    [
+        (errno.ENOSPC, "make space"),
+        (errno.EFBIG, "its file system takes no larger file: use a disk with ext4 or exFAT"),
+        (errno.EROFS, "it is mounted read-only: check its file system for errors, and mount it"),
+        (errno.EIO, GONE),
+        (errno.ENODEV, GONE),
+    ],
+    ids=["full", "file-too-large", "read-only", "input-output", "no-device"],
+)
+def test_a_failing_disk_ends_the_recording(
+    number: int, hint: str, make: Maker, folder: Path
+) -> None:
     node = make(RecorderNode, directory=folder, record="true")
 
     def fail(*given: Any) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     node._bag.write = fail
     node._on_message("/trigger", b"")
-    words = f"recording stopped, {folder} keeps its data (No space left on device): make space"
+    level, words = make.state()
+    said = f"recording stopped, {folder} keeps its data ({os.strerror(number)}): {hint}"
+    assert level == ERROR and words.startswith(said) and announced(make)[-1] == ""
+
+
+@pytest.mark.parametrize("by", ["flush", "end"])
+def test_a_removed_trial_ends_the_recording(by: str, make: Maker, folder: Path) -> None:
+    node = make(RecorderNode, directory=folder, record="true")
+    send_all(node)
+    shutil.rmtree(folder)
+    if by == "flush":
+        node._flush()
+    else:
+        node.close()
+    words = f"recording stopped, {folder} is gone (No such file or directory): {GONE}"
     assert make.state() == (ERROR, words) and announced(make)[-1] == ""
+
+
+def test_a_renamed_trial_is_recorded_on(make: Maker, folder: Path) -> None:
+    node = make(RecorderNode, directory=folder, record="true")
+    folder.rename(folder.with_name("moved"))
+    send_all(node)
+    node._flush()
+    assert make.state() == (OK, f"recording {folder}")
+    with BagReader(folder.with_name("moved")) as bag:
+        assert sum(bag.counts.values()) == len(MEASURED)
+
+
+def test_diagnostics_survive_an_unplugged_disk(
+    make: Maker, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make(RecorderNode, directory=folder, record="true")
+
+    def fail(*given: Any, **more: Any) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "stat", fail)
+    assert np.isnan(node.figures()["free"])
 
 
 @pytest.mark.parametrize(("everything", "maps"), [("false", 0), ("true", 1)])

@@ -97,7 +97,8 @@ def test_the_page_shows_the_wrench_beside_its_prediction(time: float, played: Pl
 @at_times
 def test_cards_show_the_pressure_of_the_verb(time: float, played: Played) -> None:
     row, shown = played.row(time), played.shown(time)
-    span = Segment("span", time, time, slice(row, row + 1))
+    at = float(played.trial.samples().time[row])
+    span = Segment("span", at, at, slice(row, row + 1))
     found = st.pressure(played.trial, span).regions
     (peak, _, data), bars = shown["cards"], shown["bars"]
     assert peak["value"] == f"{found.loc['socket', 'peak pressure [kPa]']:.1f} kPa"

@@ -172,7 +172,7 @@ def test_page_shows_peak_mean_and_models(results):
     found = results.pressure
     peak = 1e-3 * found.outputs.peak_map.normal_pressure.max()
     mean = 1e-3 * found.outputs.tiles.mean.value.max()
-    assert tab.text("#when") == f"at {found.peak_time:.2f} s"
+    assert tab.text("#when") == f"at {found.peak_time:.2f} s, the peak in the plateau"
     assert tab.texts("strong")[0] == f"{peak:.1f} kPa"
     assert f"<b>peak {peak:.1f}</b>" in tab.picture("#map").notes
     tab.click('button[data-moment="mean"]')

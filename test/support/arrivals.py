@@ -95,7 +95,7 @@ class Stage:
             self.seen["least force"] = settings.plateau.least_force
             self.seen["selected without"] = settings.identification.leave_out
             chosen = specification if specification[0].isdigit() else "all"
-            return st.select_segment(trial.samples(), chosen)
+            return trial.select(chosen)
 
         for method in (problems, sound, select):
             self.patch.setattr(Trial, method.__name__, method)

@@ -1,5 +1,9 @@
 """A clock for tests that never wait, and how fast others let a simulated testbed run."""
 
+import shutil
+import struct
+import subprocess
+from pathlib import Path
 from typing import Self
 
 import pytest
@@ -34,3 +38,33 @@ class FakeClock:
         monkeypatch.setattr(clocks, "monotonic", self)
         monkeypatch.setattr(clocks, "sleep", self.sleep)
         return self
+
+
+class SystemClock:
+    """A system clock of other processes, which a test sets; skips the test without a compiler.
+
+    The machine's own clock is left alone: `set_clock.c` stands between the processes and the C
+    library.
+
+    Args:
+        folder: An existing folder for its files.
+
+    Attributes:
+        environment: Environment variables of the processes that go by it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not (compiler := shutil.which("gcc")):
+            pytest.skip("gcc is not installed: it compiles the system clock that is set")
+        library, self._shift = folder / "set_clock.so", folder / "shift"
+        source = Path(__file__).with_name("set_clock.c")
+        words = [compiler, "-shared", "-fPIC", "-O1", source, "-o", library, "-ldl", "-lpthread"]
+        subprocess.run(words, check=True)
+        self.environment = {"LD_PRELOAD": str(library), "SET_CLOCK": str(self._shift)}
+        self._shift.write_bytes(bytes(8))
+        self.set(0.0)
+
+    def set(self, shift: float) -> None:
+        """Set it to the machine's own time, shifted by so many seconds."""
+        with self._shift.open("r+b") as file:
+            file.write(struct.pack("q", round(1e9 * shift)))
