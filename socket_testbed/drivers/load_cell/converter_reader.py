@@ -250,13 +250,13 @@ class ConverterReader:
         """The converter's level at a time [s], OK, WARN or ERROR, and its fault; None if OK."""
         found: tuple[int, DeviceError | None] = OK, None
         with self._lock:
+            silent = now - self._arrived > self._silence > 2.0 * (now - self._polled)
+            undated = now - self._stored > self._silence
             if (fault := self._fault) is not None and self._failed >= self._stored:
                 found = ERROR, fault
-            elif now - self._arrived > self._silence > 2.0 * (now - self._polled):
+            elif silent or (undated and self._mostly_corrupted):
                 found = ERROR, self._silence_error(now)
-            elif now - self._stored > self._silence and self._mostly_corrupted:
-                found = ERROR, self._silence_error(now)
-            elif now - self._stored > self._silence:
+            elif undated:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
                 found = ERROR, self._error("conversions are read too late to date them", hint)
             elif fault is not None and now - self._failed < RECENT:
