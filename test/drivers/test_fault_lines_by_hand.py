@@ -448,6 +448,21 @@ def test_corrupted_frames_are_counted_and_left_out(clock: FakeClock) -> None:
     assert bench.reader.counts()["restarts"] == 0
 
 
+@pytest.mark.parametrize(
+    ("clock_in", "silence"), [(8.192e6, 0.1), (0.512e6, 0.32)], ids=["fast", "slow"]
+)
+def test_a_silent_converter_has_its_time(clock_in: float, silence: float, clock: FakeClock) -> None:
+    """100 ms, or five conversions if they take longer: 2 * 16384 / 512 kHz are 64 ms."""
+    bench = Bench(clock, replace(CELL, oversampling=16384, clock_in=clock_in, window=0.2))
+    bench.poll(0.5)
+    assert bench.fault() == (OK, "")
+    bench.faults["load_cell.frozen"] = 1.0
+    begun = clock.now
+    while bench.fault()[0] == OK:
+        bench.poll(bench.reader.period)
+    assert clock.now - begun == pytest.approx(silence, abs=1.5 * bench.reader.period)
+
+
 def test_an_unplugged_converter_restarts_until_it_is_back(clock: FakeClock) -> None:
     bench = Bench(clock)
     bench.poll(0.3)
