@@ -645,3 +645,26 @@ def test_a_missing_wrench_tells_its_cause(clock: FakeClock) -> None:
         f"0 of {expected} conversions around the trigger; spidev0.0: no answer (every bit reads 0):"
         " check MISO, CS and the supply of the converter"
     )
+
+
+def test_a_wrench_is_awaited_until_its_conversions_ended(clock: FakeClock) -> None:
+    """A failed converter gives none; a quarter of the window and the filter's delay later."""
+    bench = Bench(clock)
+    bench.poll(0.3)
+    moment = clock.now
+    bench.faults["load_cell.unplugged"] = 1.0
+    after = 0.25 * CELL.window + ads131m0x.group_delay(CELL.clock_in, CELL.oversampling)
+    bench.poll(after - 1.5 * bench.reader.period)
+    assert bench.fault()[0] == ERROR and not bench.cell.ready(moment)
+    bench.poll(3.0 * bench.reader.period)
+    assert bench.cell.ready(moment)
+
+
+def test_a_warning_does_not_end_the_wait(clock: FakeClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(clock)
+    bench.poll(0.3)
+    warning = WARN, DeviceError("frames are corrupted", "x")
+    monkeypatch.setattr(bench.reader, "fault_at", lambda now: warning)
+    assert not bench.cell.ready(clock.now - 0.001)
+    clock.now += 1.0
+    assert not bench.cell.ready(clock.now - 0.5)
