@@ -319,6 +319,36 @@ def test_a_dead_cluster_ends_the_press_test(
     )
 
 
+@pytest.mark.parametrize(("left", "waited"), [(1.9, 0.4), (2.1, 1.4)], ids=["free", "held"])
+def test_the_next_press_waits_for_the_release(
+    left: float, waited: float, clock: FakeClock, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """To half of 4 kPa in four readings; the cluster keeps so many kPa for a second."""
+    asked: list[tuple[float, str]] = []
+
+    @contextmanager
+    def readings(own: Any) -> Iterator[Callable[[], np.ndarray]]:
+        def read() -> np.ndarray:
+            clocks.sleep(0.1)
+            since, words = asked[-1]
+            kept = 1e3 * left * (len(asked) > 1 and clock.now - since < 1.05)
+            felt = 1e4 if words != "let go" else kept
+            return np.array([felt, 0.0, 0.0, 0.0, 0.0, -20.0 * (words != "let go"), 0.0])
+
+        yield read
+
+    monkeypatch.setattr(doctor, "_readings", readings)
+    presses = doctor.press_test(
+        made_testbed(tmp_path), lambda words: asked.append((clock.now, words))
+    )
+    next(presses)
+    next(presses)
+    words = [entry[1] for entry in asked]
+    assert words == ["let go", "press on brim_lateral", "let go", "press on mid_anterior"]
+    assert asked[1][0] - asked[0][0] == pytest.approx(3.0)  # 1 s, and 20 readings
+    assert asked[3][0] - asked[2][0] == pytest.approx(waited)
+
+
 # Readings of a cluster and a force, `n` for a missing one; the mean of what is kept, or None.
 WAITS: dict[str, tuple[str, float | None]] = {
     "the first is in motion": ("9 1 2 3", 2.0),
