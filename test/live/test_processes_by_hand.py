@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -226,3 +227,119 @@ def test_a_spare_process_starts_once_all_is_calm(monkeypatch: pytest.MonkeyPatch
     graph.watch(done, lambda line: None)
     ros = ["--ros-args", "-r", "__ns:=/left", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
     assert started == [(5.1, "spare", "socket_testbed.nodes", ["spare", *ros], True)]
+
+
+# --- starts and stops
+
+
+@pytest.fixture
+def spawned(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """What processes would be started with: the options of `subprocess.Popen`."""
+    found: list[dict[str, Any]] = []
+    monkeypatch.setattr(
+        processes.subprocess, "Popen", lambda command, **more: found.append(more) or command
+    )
+    return found
+
+
+def test_a_process_knows_its_parent_clock_and_restart(spawned: list[dict[str, Any]]) -> None:
+    output: Any = object()
+    graph = Graph(output)
+    graph.clock = {"SOCKET_TESTBED_TIME_SCALE": "0.5"}
+    assert graph._spawn(["a"]) == graph._spawn(["a"], again=True) == ["a"]  # type: ignore[comparison-overlap]
+    first, again = (options["env"] for options in spawned)
+    assert first["SOCKET_TESTBED_PARENT"] == str(os.getpid())
+    assert first["SOCKET_TESTBED_TIME_SCALE"] == "0.5" and first["PATH"] == os.environ["PATH"]
+    assert again == {**first, "SOCKET_TESTBED_RESTARTED": "1"}
+    for options in spawned:
+        assert options["start_new_session"] and options["stdin"] == subprocess.PIPE
+        assert options["stdout"] is options["stderr"] is output
+
+
+SPARES = {
+    # exit code of the spare process (None: it runs), module of the ended one; whether it takes over
+    "ready": (None, "socket_testbed.nodes", True),
+    "ended": (1, "socket_testbed.nodes", False),
+    "another program": (None, "socket_testbed.simulation.testbed", False),
+}
+
+
+@pytest.mark.parametrize("case", SPARES)
+def test_a_spare_process_takes_over_nodes(case: str, spawned: list[dict[str, Any]]) -> None:
+    """It reads from its standard input what it is to run."""
+    code, module, takes_over = SPARES[case]
+    graph: Any = Graph()
+    told: list[bytes] = []
+
+    class Input:
+        def __enter__(self) -> "Input":
+            return self
+
+        def __exit__(self, *given: object) -> None:
+            told.append(b"end")
+
+        def write(self, data: bytes) -> None:
+            told.append(data)
+
+    spare = SimpleNamespace(stdin=Input())
+    graph._members["spare"] = SimpleNamespace(exit_code=lambda: code, process=spare, command=[])
+    ended: Any = SimpleNamespace(command=["python", "-m", module, "mocap_node", "--ros-args"])
+    found = graph._replace(ended)
+    assert ("spare" in graph._members) is not takes_over
+    if takes_over:
+        assert found is spare and not spawned
+        assert told == [b'["mocap_node", "--ros-args"]', b"end"]
+    else:
+        assert found == ended.command and not told
+        assert spawned[0]["env"]["SOCKET_TESTBED_RESTARTED"] == "1"
+
+
+class Deaf:
+    """Stands for a process that ends at a signal, a while after it; None: at SIGKILL alone."""
+
+    def __init__(self, clock: Any, pid: int, takes: float | None) -> None:
+        self.pid, self._clock, self._takes = pid, clock, takes
+        self.ends = float("inf")
+        self.returncode: int | None = None
+        self.reaped = False
+
+    def signalled(self, number: int) -> None:
+        if number == signal.SIGKILL or self._takes is not None:
+            takes = self._takes or 0.0
+            self.ends = min(self.ends, self._clock.now + takes * (number != signal.SIGKILL))
+
+    def poll(self) -> None:
+        self.reaped = True
+
+
+def test_a_graph_ends_gently_then_by_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node has 60 s after SIGTERM; another that has ended gets no signal."""
+    clock: Any = SimpleNamespace(now=100.0)
+
+    def sleep(seconds: float) -> None:
+        clock.now += seconds
+
+    clock.monotonic, clock.sleep = (lambda: clock.now), sleep
+    monkeypatch.setattr(processes, "time", clock)
+    graph: Any = Graph()
+    ways = {"quick": 1.0, "slow": 59.0, "deaf": None, "kept": 1.0}
+    made = {name: Deaf(clock, 10 + k, takes) for k, (name, takes) in enumerate(ways.items())}
+    sent: list[tuple[int, int, int]] = []
+
+    def kill(pid: int, number: int) -> None:
+        sent.append((pid, number, round(clock.now - 100.0)))
+        next(own for own in made.values() if own.pid == pid).signalled(number)
+
+    monkeypatch.setattr(processes.os, "kill", kill)
+    for name, own in made.items():
+        graph._members[name] = SimpleNamespace(
+            process=own, exit_code=lambda own=own: 0 if clock.now >= own.ends else None
+        )
+    graph.stop("quick", "slow", "deaf")
+    term, force = int(signal.SIGTERM), int(signal.SIGKILL)
+    assert sent == [(10, term, 0), (11, term, 0), (12, term, 0), (12, force, 60)]
+    assert [own.reaped for own in made.values()] == [True, True, True, False]
+    sent.clear()
+    graph.stop()
+    assert [(pid, number) for pid, number, _ in sent] == [(13, term)]
+    made["kept"].ends = 0.0
