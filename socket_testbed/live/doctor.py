@@ -292,11 +292,12 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
         ask("let go")
         clocks.sleep(_RELEASE_TIME)
         unloaded = [read() for _ in range(_UNLOADED_READINGS)]
-        zero, noise = _mean(unloaded), np.nanstd(unloaded, axis=0)[:-3]
+        zero = _mean(unloaded)
         dead = [name for name, value in zip(names, zero, strict=False) if np.isnan(value)]
         if dead:
             hint = "see what 'doctor' says of it without --press"
             raise DeviceError(f"cluster {dead[0]} gives no reading", hint)
+        noise = np.nanstd(np.array(unloaded)[:, :-3], axis=0)
         threshold = np.maximum(_MIN_PRESSURE, _SIGMAS * noise)
 
         def pressure(reading: FloatArray) -> FloatArray:  # of either sign, relative to a press

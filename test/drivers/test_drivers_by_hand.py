@@ -16,6 +16,7 @@ from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.drivers.clusters.reader import check_settings as check_clusters
 from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger
+from socket_testbed.drivers.load_cell.ads131m0x import Ads131m0x
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import Bridges, LoadCell, Tare
 from socket_testbed.drivers.load_cell.load_cell import check_settings as check_load_cell
@@ -244,15 +245,21 @@ def test_a_tare_serves_another_matrix(tmp_path: Path) -> None:
 
 
 class Wire:
-    """A bus of a converter that garbles every frame while its chip has the fault `garbled`."""
+    """A bus of a converter that garbles frames while its chip has the fault `garbled`.
+
+    All but every n-th one, if its value is n; 0: all.
+    """
 
     def __init__(self, chip: SimulatedAds131m0x, faults: dict[str, float]) -> None:
         self._chip, self._faults = chip, faults
+        self._frames = 0
 
     def xfer2(self, data: list[int], /) -> list[int]:
         answer = self._chip.xfer2(data)
+        self._frames += 1
         if "garbled" in self._faults:
-            answer[-2] ^= 1  # of the checksum
+            every = int(self._faults["garbled"])
+            answer[-2] ^= not every or self._frames % every > 0  # of the checksum
         return answer
 
     def close(self) -> None:
@@ -287,6 +294,10 @@ def polled(clock: FakeClock, faults: dict[str, float], wired: bool | None) -> tu
     return level, str(error)
 
 
+UNMATCHED = (
+    "matches its checksum: check the wiring and the chip select (docs/faults.md), or lower"
+    " load_cell_node's spi_clock"
+)
 CONVERTER_LINES: dict[str, tuple[dict[str, float], bool | None, str]] = {
     "no edge": (
         {},
@@ -304,11 +315,15 @@ CONVERTER_LINES: dict[str, tuple[dict[str, float], bool | None, str]] = {
         True,
         "spidev0.0: no longer converts: check the converter's clock and its supply",
     ),
-    "corrupted": (
-        {"garbled": 1.0},
+    "corrupted": ({"garbled": 0.0}, None, f"spidev0.0: no frame {UNMATCHED}"),
+    "corrupted with DRDY": ({"garbled": 0.0}, True, f"spidev0.0: no frame {UNMATCHED}"),
+    "nearly all corrupted": ({"garbled": 50.0}, None, f"spidev0.0: hardly any frame {UNMATCHED}"),
+    # The few intact ones are dropped while the reader empties the converter.
+    "nearly all corrupted with DRDY": ({"garbled": 41.0}, True, f"spidev0.0: no frame {UNMATCHED}"),
+    "frozen and now and then corrupted": (
+        {"load_cell.frozen": 1.0, "load_cell.flipped_bits": 0.1},
         None,
-        "spidev0.0: no frame matches its checksum: check the wiring and the chip select"
-        " (docs/faults.md), or lower load_cell_node's spi_clock",
+        "spidev0.0: no longer converts: check the converter's clock and its supply",
     ),
     "unplugged": (
         {"load_cell.unplugged": 1.0},
@@ -316,6 +331,50 @@ CONVERTER_LINES: dict[str, tuple[dict[str, float], bool | None, str]] = {
         "spidev0.0: no answer (every bit reads 0): check MISO, CS and the supply of the converter",
     ),
 }
+
+
+# A frame of the start that is changed: its number, the byte with a wrong bit (None: another
+# converter's ID), and the line.
+STARTS: dict[str, tuple[int, int | None, str]] = {
+    "reset": (2, 1, f"a frame does not match {UNMATCHED[8:]}"),
+    "ID": (3, 0, f"a frame does not match {UNMATCHED[8:]}"),
+    "ID of another": (
+        3,
+        None,
+        "the converter says ID 0x2802, not 0x26xx: check load_cell_node's channels, and that its"
+        " device is this converter",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", STARTS)
+def test_a_garbled_start_is_no_other_converter(case: str) -> None:
+    number, byte, line = STARTS[case]
+    chip = SimulatedAds131m0x(lambda moment: np.zeros(6), seed=1)
+    sent: list[list[int]] = []
+
+    def xfer2(data: list[int], /) -> list[int]:
+        answer = chip.xfer2(data)
+        if len(sent) == number and byte is None:
+            answer[0] = 0x28
+        elif len(sent) == number:
+            answer[byte] ^= 0x40
+        sent.append(data)
+        return answer
+
+    with pytest.raises(DeviceError) as found:
+        Ads131m0x(Mock(xfer2=xfer2), 6).reset_and_configure(4096, 1, 8.192e6)
+    assert str(found.value) == f"spidev0.0: {line}"
+
+
+def test_a_deaf_converter_did_not_reset() -> None:
+    """Its DIN is off: it answers each command with its STATUS, in frames that are intact."""
+    chip = SimulatedAds131m0x(lambda moment: np.zeros(6), seed=1)
+    deaf = Mock(xfer2=lambda data: chip.xfer2([0] * len(data)))
+    with pytest.raises(DeviceError) as found:
+        Ads131m0x(deaf, 6).reset_and_configure(4096, 1, 8.192e6)
+    line = "the converter did not reset (it says 0x053F): check DIN and SCLK, or lower"
+    assert str(found.value) == f"spidev0.0: {line} load_cell_node's spi_clock"
 
 
 @pytest.mark.parametrize("case", CONVERTER_LINES)

@@ -24,6 +24,7 @@ _RESET_TIME = 1e-3  # [s]; the registers are ready after 5 us
 
 _NULL, _RESET, _UNLOCK = 0x0000, 0x0011, 0x0655
 _READ, _WRITE = 0xA000, 0x6000
+_FAMILY = range(0x21, 0x29)  # upper bytes of the IDs of converters of 1 to 8 channels
 _ID, _MODE = 0x00, 0x02  # CLOCK, GAIN1 and GAIN2 follow MODE
 _RESET_BIT = 0x0400
 _WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
@@ -236,22 +237,28 @@ class Ads131m0x:
         self._transfer(_UNLOCK)
         self._transfer(_RESET)
         clocks.sleep(_RESET_TIME)
-        acknowledged = _response(self._transfer(_READ | _ID << 7))
+        acknowledged = self._transfer(_READ | _ID << 7)
         answer = self._transfer(_NULL)
         # Before the checksum, whose position depends on the number of channels.
         self.identity = _response(answer)
-        if self.identity >> 8 != 0x20 | self._channels:
-            raise DeviceError(
-                f"{self._name}: the converter says ID 0x{self.identity:04X}, not "
-                f"0x{0x20 | self._channels:02X}xx",
-                "check load_cell_node's channels, and that its device is this converter",
-            )
+        wanted = 0x20 | self._channels
+        another = DeviceError(
+            f"{self._name}: the converter says ID 0x{self.identity:04X}, not 0x{wanted:02X}xx",
+            "check load_cell_node's channels, and that its device is this converter",
+        )
+        if self.identity >> 8 in _FAMILY and self.identity >> 8 != wanted:
+            raise another
         self._check(answer)
-        if acknowledged != 0xFF20 | self._channels:
+        said = _response(acknowledged)
+        if said != 0xFF00 | wanted:
+            if not any(_is_intact(acknowledged, crc) for crc in ("ccitt", "ansi")):
+                raise self._corrupted()
             raise DeviceError(
-                f"{self._name}: the converter did not reset (it says 0x{acknowledged:04X})",
+                f"{self._name}: the converter did not reset (it says 0x{said:04X})",
                 "check DIN and SCLK, or lower load_cell_node's spi_clock",
             )
+        if self.identity >> 8 != wanted:
+            raise another
         self._configure(oversampling, gain)
         # The first two conversions come from a faster, noisier filter; they are the two now
         # waiting, or older.
@@ -325,8 +332,11 @@ class Ads131m0x:
         return answer
 
     def _check(self, answer: bytes) -> None:
-        if checksum(answer[:-_WORD], self._crc) != int.from_bytes(answer[-_WORD:-1], "big"):
-            raise ChecksumError(f"{self._name}: a frame does not match its checksum", CHECK_WIRING)
+        if not _is_intact(answer, self._crc):
+            raise self._corrupted()
+
+    def _corrupted(self) -> ChecksumError:
+        return ChecksumError(f"{self._name}: a frame does not match its checksum", CHECK_WIRING)
 
     def _transfer(self, *words: int) -> bytes:
         """Send 16-bit words, each left-aligned in a bus word; returns the unchecked answer."""
@@ -343,6 +353,11 @@ class Ads131m0x:
                 "check MISO, CS and the supply of the converter",
             )
         return answer
+
+
+def _is_intact(answer: bytes, crc: str) -> bool:
+    """Whether a frame matches its checksum of a kind, see `checksum`."""
+    return checksum(answer[:-_WORD], crc) == int.from_bytes(answer[-_WORD:-1], "big")
 
 
 def _response(answer: bytes) -> int:

@@ -131,6 +131,8 @@ class ConverterReader:
         self._connected = -np.inf  # [s]
         self._matched = -np.inf  # time of the last valid frame [s]
         self._transfer_failed = False  # the last one
+        # frames since the last conversion with a known time: not matching their checksum, or valid
+        self._frames_corrupted = self._frames_valid = 0
 
         self._lock = threading.Lock()  # for all fields below
         # The last conversions in order of time [s], with their codes.
@@ -196,6 +198,7 @@ class ConverterReader:
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
             if self.open_line is not None:
                 self._line, self._synchronised = self.open_line(), False
+            self._frames_corrupted = self._frames_valid = 0
             self._ends = ConversionClock(self.period)  # a reset restarts the conversions
             self._connected = clocks.monotonic()
             self._converter = converter
@@ -256,14 +259,16 @@ class ConverterReader:
         """The converter's level at a time [s], OK, WARN or ERROR, and its fault; None if OK."""
         found: tuple[int, DeviceError | None] = OK, None
         with self._lock:
+            silent = now - self._arrived > self._silence > 2.0 * (now - self._polled)
+            undated = now - self._stored > self._silence
             if (fault := self._fault) is not None and self._failed >= self._stored:
                 found = ERROR, fault
-            elif now - self._arrived > self._silence > 2.0 * (now - self._polled):
-                found = ERROR, self._error("no longer converts", _CHECK_CLOCK)
+            elif silent or (undated and self._mostly_corrupted):
+                found = ERROR, self._silence_error(now)
             elif self._polling and now - self._polled > self._silence:
                 hint = "see dmesg for the SPI controller, or relieve the computer"
                 found = ERROR, self._error("a transfer does not end", hint)
-            elif now - self._stored > self._silence:
+            elif undated:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
                 found = ERROR, self._error("conversions are read too late to date them", hint)
             elif fault is not None and now - self._failed < RECENT:
@@ -274,6 +279,17 @@ class ConverterReader:
             elif not self._counts["conversions"]:
                 found = WARN, self._error("no conversion yet", "wait for the first")
         return found
+
+    @property
+    def _mostly_corrupted(self) -> bool:
+        return self._frames_corrupted > self._frames_valid
+
+    def _silence_error(self, now: float) -> DeviceError:
+        """Why none comes at a time [s]: corrupted frames hide them, or the converter stopped."""
+        if not self._mostly_corrupted:
+            return self._error("no longer converts", _CHECK_CLOCK)
+        share = "no" if now - self._matched > self._silence else "hardly any"
+        return self._error(f"{share} frame matches its checksum", ads131m0x.CHECK_WIRING)
 
     def _error(self, fact: str, hint: str) -> DeviceError:
         return DeviceError(f"{self._name}: {fact}", hint)
@@ -307,12 +323,14 @@ class ConverterReader:
                 self._counts["failed_transfers"] += 1
             return None
         except ads131m0x.ChecksumError:
+            self._frames_corrupted += 1
             with self._lock:
                 self._corrupted = begin
                 self._counts["checksum_errors"] += 1
             self._transfer_failed = False
             return None
         self._transfer_failed = False
+        self._frames_valid += 1
         self._matched = clocks.monotonic()
         return frame
 
@@ -358,6 +376,7 @@ class ConverterReader:
             if end is None:
                 return
             self._stored = self._matched
+            self._frames_corrupted = self._frames_valid = 0
             self._counts["conversions"] += 1
             self._times.append(end - self._delay)
             self._codes.append(frame.codes)
@@ -368,14 +387,14 @@ class ConverterReader:
         now = clocks.monotonic()
         if now - max(self._arrived, self._connected) <= self._silence:
             return
+        if self._mostly_corrupted:
+            raise self._silence_error(now)
         if self._line is not None and self._converter is not None and self._converter.read().new:
             raise self._error(
                 f"converts, but no edge comes on line {self._settings.data_ready_line}",
                 "check the wire from DRDY, or set load_cell_node's data_ready_line to -1",
             )
-        if self._line is None and now - self._matched > self._silence:
-            raise self._error("no frame matches its checksum", ads131m0x.CHECK_WIRING)
-        raise self._error("no longer converts", _CHECK_CLOCK)
+        raise self._silence_error(now)
 
     def _fail(self, error: DeviceError) -> None:
         now = clocks.monotonic()
