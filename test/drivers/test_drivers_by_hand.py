@@ -77,13 +77,14 @@ def test_an_edge_out_of_time_is_none(edge: float, clock: FakeClock) -> None:
         fired(clock, edge)
 
 
-def test_a_refused_chip_names_its_groups(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpio, "_chip", lambda *given: "/dev/gpiochip4")
+def test_a_refused_chip_names_its_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its file is not there: the group is the distribution's."""
+    monkeypatch.setattr(gpio, "_chip", lambda *given: "/dev/gpiochip4x")
     monkeypatch.setattr(gpiod, "request_lines", Mock(side_effect=PermissionError))
     with pytest.raises(DeviceError) as found:
         GpiodLines("a chip", {17: "output"}, "trigger_node", "chip", "source to timer")
-    hint = "add the user to the group of this file (gpio or dialout), then log in again"
-    assert str(found.value) == f"/dev/gpiochip4: permission denied: {hint}"
+    hint = "add the user to the group gpio (sudo usermod -aG gpio $USER), then log in again"
+    assert str(found.value) == f"/dev/gpiochip4x: permission denied: {hint}"
 
 
 # --- the clusters
