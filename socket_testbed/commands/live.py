@@ -405,6 +405,9 @@ def record(
         geometry: The `socket.yaml` to store in the trial.
         calibration: The `calibration.yaml` to store in the trial.
         params: The `testbed.yaml` to store in the trial.
+
+    Raises:
+        TrialError: If nothing was recorded.
     """
     check_new_folder(directory)
     read_configuration(geometry, calibration, params)  # the trial needs readable files later

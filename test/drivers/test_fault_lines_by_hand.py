@@ -61,9 +61,9 @@ OPENED = {  # number of the error: lines of an I2C bus and of an SPI device
     "ENODEV": (I2C_MISSING, SPI_MISSING),
     "ENXIO": (I2C_MISSING, SPI_MISSING),
     "EBUSY": (
-        "cannot be opened (said): check that it is an I2C bus and that nothing else holds it",
-        "cannot be opened (said): check that nothing else uses it, and check load_cell_node's"
-        " spi_clock",
+        "cannot be opened (said): check that it is an I2C bus, and doctor's kernel row",
+        "cannot be opened (said): check load_cell_node's spi_clock, and that the controller has"
+        " SPI mode 1",
     ),
 }
 
@@ -147,8 +147,8 @@ CHIPS: dict[str, tuple[dict[str, str | Exception], str]] = {
     "beside a broken one": ({"0": BROKEN, "4": "rp1"}, "/dev/gpiochip4"),
     "refused": (
         {"0": "other", "4": DENIED},
-        "/dev/gpiochip4: permission denied: add the user to the group of this file (gpio or"
-        " dialout), then log in again",
+        "/dev/gpiochip4: permission denied: add the user to the group gpio (sudo usermod -aG"
+        " gpio $USER), then log in again",
     ),
     "others": (
         {"0": "gpio-brcm", "4": "raspberrypi-exp"},
@@ -183,8 +183,8 @@ def test_lines_in_use_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpio, "_chip", lambda *given: "/dev/gpiochip4")
     monkeypatch.setattr(gpiod, "request_lines", Mock(side_effect=OSError("busy")))
     assert line_of(lambda: lines("rp1")) == (
-        "/dev/gpiochip4: line 5 and line 22 cannot be used (busy): check that no other program or"
-        " overlay uses them"
+        "/dev/gpiochip4: line 5 and line 22 cannot be used (busy): check that no overlay uses them"
+        " and that the chip knows edges"
     )
 
 
@@ -192,7 +192,10 @@ def test_a_trigger_s_lost_lines_are_one_fault() -> None:
     """The pulse says so, not its end."""
     broken = Mock(set=Mock(side_effect=OSError(errno.ENODEV, "gone")), edges=lambda within: [])
     trigger = GpioTrigger(broken, TriggerSettings())
-    fault = "the GPIO lines cannot be used (gone): check that no other program holds them"
+    fault = (
+        "the GPIO lines of pinctrl-rp1 are gone (gone): check the chip's overlay or adapter; it is"
+        " opened again automatically"
+    )
     assert line_of(trigger.fire) == fault
     trigger.end_pulse()
 
@@ -205,11 +208,14 @@ TRANSFERS = {  # number of the error: line of a part at a place
     "ETIMEDOUT": "the bus hangs at {place}: check SDA and SCL for a short, their pull-ups, and"
     " doctor's kernel row",
     **dict.fromkeys(
-        ("ENODEV", "ENOENT", "EBADF", "EIO"),
+        ("ENODEV", "ENOENT", "EBADF"),
         "the bus is gone at {place} (said): check the adapter of i2c-3; it will be reopened"
         " automatically",
     ),
-    "EAGAIN": "transfer failed at {place} (said): check the {part}'s wiring",
+    "EIO": "transfer failed at {place} (said): check the {part}'s wiring (SDA, SCL, ground) and"
+    " plug, then the adapter of i2c-3",
+    "EAGAIN": "the bus is disturbed at {place} (lost arbitration): check SDA and SCL for"
+    " interference, and that no other master is on the bus",
 }
 
 
@@ -371,7 +377,8 @@ FAILING = Mock(xfer2=Mock(side_effect=OSError(errno.EIO, "said")))
 CONVERTER_LINES: dict[str, tuple[Callable[[], Any], str]] = {
     "bus": (
         configure(FAILING),
-        "the bus fails (said): check the device and restart the computer if it persists",
+        "the bus fails (said): check load_cell_node's device and spi_clock; restart the computer if"
+        " it persists",
     ),
     "register": (  # gains of 8 for four channels
         configure(sends((9, b"\x33\x31"))),
@@ -480,7 +487,10 @@ def test_a_line_that_fails_is_named(clock: FakeClock, monkeypatch: pytest.Monkey
     broken = Mock(side_effect=OSError(errno.ENODEV, "gone"))
     monkeypatch.setattr(bench.chip, "edges", broken)
     bench.poll(bench.reader.period)
-    line = "spidev0.0: DRDY's line fails (gone): check that no other program holds it"
+    line = (
+        "spidev0.0: the edges of DRDY are gone (gone): check the chip's overlay or adapter; it is"
+        " opened again automatically"
+    )
     assert bench.fault() == (ERROR, line)
 
 
@@ -592,7 +602,7 @@ TARES: dict[str, tuple[Callable[[Bench, FakeClock], None], list[float], str]] = 
     "loaded": (
         steady,
         [0.0, 0.0, 0.0, 120.0, 0.0, -50.0],
-        "the cell bears 130 N, more than 100 N: take the limb out of the socket; if nothing loads"
+        "the cell bears 130 N, more than 40 N: take the limb out of the socket; if nothing loads"
         " the cell, force it (load_cell/force_tare)",
     ),
 }

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import socket_testbed as st
 from socket_testbed.__main__ import VERBS, run
 from socket_testbed.commands.arguments import Parser, add_options
 from socket_testbed.settings.fields import Settings
