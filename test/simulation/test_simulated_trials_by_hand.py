@@ -12,6 +12,7 @@ from socket_testbed.simulation import trial as module
 from socket_testbed.simulation.trial import GroundTruth, SimulatedTrial, write_simulated_trial
 from socket_testbed.trials import cdr
 from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.truth import read_truth
 
 START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 PERIOD = 250_000_000  # [ns]
@@ -126,7 +127,7 @@ def test_a_truth_of_one_time_is_damaged(tmp_path: Path) -> None:
     file = tmp_path / "ground_truth.npz"
     np.savez(file, stamps=np.array([1]), names=np.array(["t"]))
     with pytest.raises(TrialError) as found:
-        module.read_truth(tmp_path)
+        read_truth(tmp_path)
     assert str(found.value) == (
         f"{file}: is damaged (it has fewer than two times): simulate the trial again, or remove the"
         " file"
