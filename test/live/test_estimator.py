@@ -231,9 +231,10 @@ def live(trial: Trial) -> LiveMap:
     return LiveMap(trial)
 
 
-def test_a_force_that_no_limb_gives_is_unmapped(live: LiveMap) -> None:
+@pytest.mark.parametrize("force", [1e9, -1e9], ids=["positive", "negative"])
+def test_a_force_that_no_limb_gives_is_unmapped(force: float, live: LiveMap) -> None:
     spoilt, lacking = live.sample.wrench.copy(), live.sample.wrench.copy()
-    spoilt[0, 3], lacking[0, 3] = 1e9, np.nan
+    spoilt[0, 3], lacking[0, 3] = force, np.nan
     live.check(live.update(wrench=spoilt), wrench=lacking)
 
 

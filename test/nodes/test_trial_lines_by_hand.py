@@ -129,6 +129,16 @@ def test_a_disk_that_fills_at_the_end_fails_the_request(make: Maker, folder: Pat
     assert make.sent["recorder/trial"][-1].data == ""
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [(0o000, 0o007), (0o022, 0o027), (0o077, 0o077)], ids=oct
+)
+def test_a_trial_is_closed_to_others(before: int, after: int, make: Maker, folder: Path) -> None:
+    """It holds personal data; its group's rights stay as the user set them."""
+    os.umask(before)
+    make(RecorderNode, directory=folder)
+    assert os.umask(0) == after
+
+
 def test_the_bag_is_flushed_while_recording(make: Maker, folder: Path) -> None:
     node = make(RecorderNode, directory=folder)
     node._flush()  # nothing to flush
@@ -205,6 +215,24 @@ def test_slow_followers_are_a_warning(replaying: Callable[..., ReplayNode], make
     node.report(OK, "goes on")
     node._catch_up(0)
     assert make.state() == (OK, "goes on")
+
+
+def test_lacking_transforms_are_told(
+    replaying: Callable[..., ReplayNode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    logger = SimpleNamespace(warning=told.append, info=lambda words: None)
+    node = replaying()
+
+    class Lacking:
+        @property
+        def geometry(self) -> None:
+            raise ConfigurationError("no socket.yaml", "give --geometry")
+
+    monkeypatch.setattr(node, "_trial", Lacking())
+    monkeypatch.setattr(node, "get_logger", lambda: logger)
+    assert node._broadcaster() is None
+    assert told == ["transforms are left out: no socket.yaml: give --geometry"]
 
 
 def test_a_trial_of_other_topics_is_refused(
