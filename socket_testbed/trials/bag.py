@@ -730,7 +730,8 @@ class BagWriter:
         """Flush all messages so far to the disk as a chunk that survives a power cut.
 
         Raises:
-            OSError: If the disk does not take them, or the bag was removed meanwhile.
+            OSError: If the disk does not take them.
+            FileNotFoundError: If the bag was removed meanwhile.
         """
         self._close_chunk()
         self._storage.bio.flush()

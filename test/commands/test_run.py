@@ -96,8 +96,8 @@ def test_a_trial_that_went_away_is_named(verb: str, tmp_path: Path) -> None:
         _, err = process.communicate(timeout=HANGS)
     assert process.returncode == 1 and "Traceback" not in err
     assert err.splitlines()[-1] == (
-        f"socket-testbed {verb}: error: {path}: is not there any more: connect its disk again, or"
-        " look where it was moved to; what reached the disk is on it"
+        f"socket-testbed {verb}: error: {path}: is not there: read the recorder's messages; if it"
+        " recorded, connect the trial's disk again, or look where the trial was moved to"
     )
 
 
