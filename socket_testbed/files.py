@@ -99,7 +99,11 @@ _DISK_HINTS = {
 
 
 def disk_hint(error: OSError) -> str:
-    """A hint for an error of a disk while it is read or written."""
+    """A hint for an error of a disk.
+
+    Args:
+        error: The error, of reading or writing on the disk.
+    """
     gone = "check that its disk is connected, and what dmesg says of it"
     return _DISK_HINTS.get(error.errno or 0, gone)
 

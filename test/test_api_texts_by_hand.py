@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from support import scene
 
 import socket_testbed as st
@@ -155,7 +156,6 @@ def walked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Trial:
     monkeypatch.setattr(Trial, "samples", lambda self: SimpleNamespace(to_dataframe=lambda: TABLE))
     found = [Event("placed", time, "found") for time in (1.0, 4.0, 7.0)]
     monkeypatch.setattr(Trial, "events", lambda self: found)
-    monkeypatch.setattr(Trial, "estimator", None)
     return Trial(tmp_path)
 
 
@@ -197,7 +197,7 @@ def test_cycles_are_drawn_by_these_rules(walked: Trial) -> None:
     assert line(found.figure) == (
         "a figure of 13 quantities: name 12 at most, such as st.cycles(trial, ['Fz', 'Mx'])"
     )
-    axes: Any = SimpleNamespace()
+    axes = Figure().subplots()
     assert line(lambda: found.draw(ax=axes)) == (
         "axes show one of these 13 quantities: name one, such as st.cycles(trial, 'Fz')"
     )
@@ -306,17 +306,12 @@ OTHERS = {
         lambda: validation._recordings([], "all", None, {}),
         "no trial to validate on: give one or more trials",
     ),
-    "no segment": (
-        lambda: trials.require_segment(None),
-        "segment is None: give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B, or leave"
-        " it",
-    ),
     "no figure": (
         lambda: result.Result._figure(SimpleNamespace(), None),  # type: ignore[arg-type]
         "SimpleNamespace has no figure: plot its table: see to_dataframe()",
     ),
     "no panel": (
-        lambda: result.Result._draw_into(SimpleNamespace(), None),  # type: ignore[arg-type]
+        lambda: result.Result._draw_into(SimpleNamespace(), None, (None, None)),  # type: ignore[arg-type]
         "SimpleNamespace has no single panel to draw: leave ax: see figure()",
     ),
     "duration": (

@@ -280,6 +280,8 @@ def run(
         bringup.end(graph, testbed)
     announced = status.trials if testbed.record is not None else set()
     expected = {place[0] / name for name in announced if name.startswith(place[1])}
+    if record is not None and status.triggered:  # the first trigger waits for the recorder
+        expected.add(place[0] / place[1])
     # A recorder that was restarted or asked for another trial has recorded several.
     _summarise(sorted(_trials(*place) - older | expected))
 
@@ -312,18 +314,17 @@ def _trials(folder: Path, name: str) -> set[Path]:
 
 
 def _require_disk(trial: Path) -> None:
-    """Raise an error if a recording is not there any more."""
+    """Raise an error if a recording is not there, or cannot be read."""
     try:
         next(trial.iterdir(), None)
     except FileNotFoundError:
         raise TrialError(
-            f"{trial}: is not there any more",
-            "connect its disk again, or look where it was moved to; what reached the disk is on it",
+            f"{trial}: is not there",
+            "read the recorder's messages; if it recorded, connect the trial's disk again, or look"
+            " where the trial was moved to",
         ) from None
     except OSError as error:
-        raise TrialError(
-            f"{trial}: cannot be read any more ({error.strerror})", disk_hint(error)
-        ) from None
+        raise TrialError(f"{trial}: cannot be read ({error.strerror})", disk_hint(error)) from None
 
 
 def _require_end(trial: Path) -> None:
@@ -407,7 +408,7 @@ def record(
         params: The `testbed.yaml` to store in the trial.
 
     Raises:
-        TrialError: If nothing was recorded.
+        TrialError: The trial is not there at the end, or its recording stopped early.
     """
     check_new_folder(directory)
     read_configuration(geometry, calibration, params)  # the trial needs readable files later
@@ -429,8 +430,6 @@ def record(
         except KeyboardInterrupt:
             graph.stop()
     print(directory)
-    if not status.trials and not directory.exists():
-        raise TrialError(f"{directory}: nothing was recorded", "read the recorder's messages")
     _require_disk(directory)
     _require_end(directory)
 

@@ -96,8 +96,8 @@ def test_a_trial_that_went_away_is_named(verb: str, tmp_path: Path) -> None:
         _, err = process.communicate(timeout=HANGS)
     assert process.returncode == 1 and "Traceback" not in err
     assert err.splitlines()[-1] == (
-        f"socket-testbed {verb}: error: {path}: is not there any more: connect its disk again, or"
-        " look where it was moved to; what reached the disk is on it"
+        f"socket-testbed {verb}: error: {path}: is not there: read the recorder's messages; if it"
+        " recorded, connect the trial's disk again, or look where the trial was moved to"
     )
 
 
@@ -183,7 +183,7 @@ def test_doctor_finds_all_simulated(
     code, table, _ = call(capsys, "doctor", "--simulated", "--params", file)
     assert code == 0 and "failed" not in table, table
     for found in (
-        *("line 17 to 27", "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1", "NatNet 4.1"),
+        *("line 17 to 27", "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1", "NatNet 4.5"),
         *("ADS131M06 on spidev0.0, ID 0x26", "0 of 1000 frames corrupted", "markers are seen"),
     ):
         with subtests.test(found):

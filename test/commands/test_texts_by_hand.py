@@ -207,11 +207,12 @@ def test_a_recording_that_ended_early_is_an_error(tmp_path: Path) -> None:
         return str(found.value)
 
     assert line(tmp_path / "none") == (
-        f"{tmp_path}/none: nothing was recorded: read the recorder's messages"
+        f"{tmp_path}/none: the recording stopped early; the trial keeps the data so far: read the"
+        " recorder's messages on the cause, such as a full or unplugged disk"
     )
     assert line(tmp_path) == (
-        f"{tmp_path}: the recording stopped early; the trial keeps the data so far: free disk"
-        " space, and read the recorder's messages"
+        f"{tmp_path}: the recording stopped early; the trial keeps the data so far: read the"
+        " recorder's messages on the cause, such as a full or unplugged disk"
     )
     (tmp_path / "metadata.yaml").touch()
     live._require_end(tmp_path)

@@ -111,6 +111,7 @@ def status_on(stage: Stage) -> type:
 
     class Status:
         output, renew, triggered = None, None, True
+        trials = frozenset({"s01"})
 
         def __init__(self, disk: Any = None, **given: Any) -> None:
             stage.seen |= {"disk": plain(disk)} | {f"status {n}": v for n, v in given.items()}

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from support.benches import sensor_bench, write_bench
 
 import socket_testbed as st
@@ -19,13 +20,13 @@ from socket_testbed.trials.trial import Trial
 COVERED = {
     "Result": {
         "save": {"path"},
-        "figure": {"width", "title"},
-        "draw": {"path", "width", "title", "ax"},
+        "figure": {"width", "title", "vmin", "vmax"},
+        "draw": {"path", "width", "title", "vmin", "vmax", "ax"},
     },
     "TrialFit": {"save": {"path"}},
     "Evaluation": {"save": {"path"}},
     "TrialMap": {"at": {"time"}, "draws": {"count"}},
-    "TrialPressure": {"save": {"path", "over_time"}},
+    "TrialPressure": {"save": {"path", "over_time"}, "to_long": {"over_time"}},
     "Comparison": {
         "cells": {"part", "quantity"},
         "difference_title": {"item"},
@@ -55,8 +56,8 @@ class Drawn(st.Result):
     def _figure(self, style: Any) -> Any:
         return style.width, style.titles
 
-    def _draw_into(self, ax: Any) -> None:
-        ax.append("drawn")
+    def _draw_into(self, ax: Any, limits: Any) -> None:
+        ax.set_title("drawn")
 
 
 @pytest.mark.parametrize(
@@ -78,9 +79,9 @@ def test_a_figure_has_the_asked_style(
 
 
 def test_axes_are_drawn_into_without_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    ax: Any = []
+    ax = Figure().subplots()
     Drawn().draw(ax=ax)
-    assert ax == ["drawn"]
+    assert ax.get_title() == "drawn"
 
 
 @pytest.mark.parametrize(

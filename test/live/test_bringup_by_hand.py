@@ -26,10 +26,11 @@ from socket_testbed.settings.testbed import (
 from socket_testbed.simulation import limb as limb_module
 from socket_testbed.simulation.limb import LoadedLimb
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.simulation.trial import check_trial_folder, read_truth
+from socket_testbed.simulation.trial import check_trial_folder
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.metadata import TrialMetadata, read_metadata, write_metadata
 from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.truth import read_truth
 
 
 def line_of(call: Any, kind: type[Exception] = TestbedError) -> str:

@@ -42,7 +42,7 @@ def test_nodes_of_a_process_start_together(graph: Any) -> None:
             GraphNode("view_node", TIMER, "/left", optional=True),
         ]
     )
-    ros = ["--ros-args", "-r", "__ns:=/left", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
+    ros = ["--ros-args", "-r", "__ns:=/left"]
     files = [graph.folder / f"{name}.yaml" for name in ("trigger_node", "testbed", "view_node")]
     nodes = ["trigger_node"], ["cluster_node", "mocap_node"], ["view_node"]
     assert [given[2] for given in graph.started] == [
@@ -66,7 +66,6 @@ def test_a_launched_node_has_its_options(tmp_path: Path) -> None:
         "executable": "trigger_node",
         "name": "trigger_node",
         "namespace": "/left",
-        "remappings": (("/tf", "tf"), ("/tf_static", "tf_static")),
         "parameters": [str(tmp_path / "trigger_node.yaml")],
         "output": "screen",
         "additional_env": {},
@@ -225,7 +224,7 @@ def test_a_spare_process_starts_once_all_is_calm(monkeypatch: pytest.MonkeyPatch
 
     graph.keep_spare("/left")
     graph.watch(done, lambda line: None)
-    ros = ["--ros-args", "-r", "__ns:=/left", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
+    ros = ["--ros-args", "-r", "__ns:=/left"]
     assert started == [(5.1, "spare", "socket_testbed.nodes", ["spare", *ros], True)]
 
 

@@ -120,7 +120,7 @@ def test_a_disk_that_fills_at_the_end_fails_the_request(make: Maker, folder: Pat
     def fail(*given: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    node._bag = SimpleNamespace(__exit__=fail, abandon=lambda: end(None, None, None))  # type: ignore[assignment]
+    node._bag = SimpleNamespace(__exit__=fail, path=path, abandon=lambda: end(None, None, None))  # type: ignore[assignment]
     with pytest.raises(TestbedError) as found:
         node._on_record(False)
     words = f"recording stopped, {path} keeps its data (No space left on device): make space"

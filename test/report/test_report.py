@@ -177,7 +177,7 @@ def test_page_shows_peak_mean_and_models(results):
     assert f"<b>peak {peak:.1f}</b>" in tab.picture("#map").notes
     tab.click('button[data-moment="mean"]')
     assert tab.text("#when") == f"mean over {found.segment}"
-    assert f"<b>peak {mean:.1f}</b>" in tab.picture("#map").notes
+    assert f"<b>highest {mean:.1f}</b>" in tab.picture("#map").notes
     first = found.regions["mean pressure [kPa]"].iloc[0]
     assert tab.texts(".said")[0].startswith(f"{first:.1f} (")
     model = next(name for name in tab.options("#kind") if "stiffness along" in name)

@@ -47,6 +47,7 @@ UNITS = {
         estimator.force_map.arm
     """,
     "kg": "recorder.next.mass",
+    "Pa": "load_cell.tare_pressure",
 }
 
 
@@ -225,7 +226,10 @@ FILES = {
         "estimator_node: plateau.least_force is -1: give a number from 0 to 10000: smallest mean"
         " force; unloaded data gives no information on contact [N]"
     ),
-    "trigger_node: {rate: 4}": ("trigger_node: unknown key 'rate': use one of ros__parameters"),
+    "trigger_node: {rate: 4}": (
+        "trigger_node/rate is not a mapping: write 'ros__parameters:' below the name of a node,"
+        " then its parameters"
+    ),
 }
 
 

@@ -13,7 +13,7 @@ import pytest
 from socket_testbed.__main__ import VERBS, run
 from socket_testbed.commands.arguments import Parser, add_options
 from socket_testbed.settings.fields import Settings
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, select_segment
 from socket_testbed.trials.trial import Trial
 from support import scene
 
@@ -94,7 +94,7 @@ class Stage:
             self.seen["least force"] = settings.plateau.least_force
             self.seen["selected without"] = settings.identification.leave_out
             chosen = specification if specification[0].isdigit() else "all"
-            return trial.select(chosen)
+            return select_segment(trial.samples(), chosen, settings.plateau)
 
         for method in (problems, sound, select):
             self.patch.setattr(Trial, method.__name__, method)
