@@ -153,14 +153,15 @@ TABLE = pd.DataFrame({"time [s]": np.arange(9.0), "load [N]": np.arange(9.0)})
 @pytest.fixture
 def walked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Trial:
     """A trial of 9 s that is placed at 1, 4 and 7 s."""
-    monkeypatch.setattr(Trial, "samples", lambda self: SimpleNamespace(to_dataframe=lambda: TABLE))
+    samples = SimpleNamespace(to_dataframe=lambda: TABLE, time=TABLE["time [s]"].to_numpy())
+    monkeypatch.setattr(Trial, "samples", lambda self: samples)
     found = [Event("placed", time, "found") for time in (1.0, 4.0, 7.0)]
     monkeypatch.setattr(Trial, "events", lambda self: found)
     return Trial(tmp_path)
 
 
 def part(start: float, end: float) -> Segment:
-    return Segment("span", start, end, slice(0, 9))
+    return Segment("span", start, end, slice(int(start), int(end) + 1))
 
 
 def test_cycles_are_refused_with_these_lines(walked: Trial) -> None:

@@ -452,8 +452,8 @@ def find_specks(triangles: FloatArray) -> BoolArray:
     """Faces so far off that the extent of the others would drown in that of all, shape (F,).
 
     Specks lie beyond a gap, along x, y or z, of twice the extent of the rest, and have less than a
-    hundredth of its area. Spikes are at most ten faces, each ten times as long as all the rest: one
-    vertex is wrong.
+    hundredth of its area. Spikes are at most ten faces, and fewer than half, each ten times as long
+    as all the rest: one vertex is wrong.
 
     Args:
         triangles: Corners of the F faces in any unit and frame, shape (F, 3, 3), all finite.
@@ -481,7 +481,7 @@ def _find_spikes(low: FloatArray, high: FloatArray) -> BoolArray:
     """Spikes among faces with these lowest and highest coordinates, shape (F, 3) each."""
     lengths = (high - low).max(axis=1)
     spikes = np.zeros(len(lengths), dtype=bool)
-    longest = np.argsort(-lengths, kind="stable")[: min(_MAX_SPIKES, len(lengths) - 1)]
+    longest = np.argsort(-lengths, kind="stable")[: min(_MAX_SPIKES, (len(lengths) - 1) // 2)]
     # Without the n longest faces, all the others must be short against each of these.
     for count in range(len(longest), 0, -1):
         spikes[:] = False

@@ -98,7 +98,7 @@ def call_simulate(stage: Stage, **options: Any) -> None:
 
     stage.replace("simulation.trial.simulate", simulated)
     stage.keep("simulation.trial.check_trial_folder", "", "checked for replacement")
-    stored = ("", "folder", "stored socket", "stored calibration", "replaced")
+    stored = ("", "folder", "stored socket", "stored calibration", "left out", "replaced")
     stage.keep("simulation.trial.write_simulated_trial", *stored)
     stage.keep("api.trials.open_trial", "")
     st.simulate("new", **options)
@@ -341,6 +341,7 @@ def call_write_comparison(stage: Stage, **options: Any) -> None:
         differing=lambda: ["0 of 0 intervals"], cells=lambda part: cells, items=("hold",),
         table=pd.DataFrame({"part": []}), notes=(), geometry=None, title="by hand",
     )  # fmt: skip
+    stage.keep("api.pages.check_kind")
     stage.keep("api.pages._cards", returned=[])
 
     def written(path: Path, title: str, subtitle: str, groups: Any, data: Any) -> None:
@@ -514,7 +515,8 @@ CASES: dict[str, Cases] = {
         "like_paper": (
             True,
             {"calibration": "calibration like_paper.yaml", "errors": LIKE_PAPER}
-            | {"stored calibration": str(packaged("config", "like_paper.yaml"))},
+            | {"stored calibration": str(packaged("config", "like_paper.yaml"))}
+            | {"left out": ("distal.Fx", "distal.Fy", "posterior_distal.Fx")},
         ),
         "replace": (True, {"checked for replacement": True, "replaced": True}),
         "geometry": (

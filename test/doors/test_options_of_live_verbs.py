@@ -111,7 +111,7 @@ def status_on(stage: Stage) -> type:
 
     class Status:
         output, renew, triggered = None, None, True
-        trials = frozenset({"s01"})
+        trials: frozenset[str] = frozenset()
 
         def __init__(self, disk: Any = None, **given: Any) -> None:
             stage.seen |= {"disk": plain(disk)} | {f"status {n}": v for n, v in given.items()}
@@ -177,6 +177,7 @@ def prepare_run(stage: Stage, clock: Clock) -> None:
     for name, fake in fakes.items():
         stage.patch.setattr(live, name, fake)
     stage.patch.setattr(live.bringup, "start", started)
+    stage.keep("commands.live._summarise", "")
     stage.patch.setattr(live.bringup, "end", lambda graph, testbed: None)
     stage.replace("pages.server.listen", lambda host, port: SimpleNamespace(close=lambda: None))
 
@@ -202,6 +203,7 @@ def prepare_doctor(stage: Stage, clock: Clock) -> None:
 def prepare_record(stage: Stage, clock: Clock) -> None:
     stage.patch.setattr(live, "Graph", graph_on(stage, clock))
     stage.patch.setattr(live, "StatusLine", status_on(stage))
+    stage.keep("commands.live._require_disk", "")
     stage.keep("commands.live._require_end", "ended")
 
     def written(metadata: Any, file: Path) -> None:

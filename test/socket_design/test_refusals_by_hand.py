@@ -393,8 +393,8 @@ SCANS: dict[str, tuple[str, bytes | None, dict[str, str], str]] = {
     "ply": ("a.ply", HEAD + b"0 0 0\n", {}, f"{{}}: has fewer lines than elements: {CUT}"),
     "index": ("a.obj", obj("1 2 9"), {}, f"{{}}: is not a valid OBJ file: {CUT}"),
     "line": (
-        *("a.obj", obj("1 2 -1"), {}),
-        "{}: line 5 is not a vertex or a face ('f 1 2 -1'): export the scan again, as OBJ with"
+        *("a.obj", obj("1 2 x"), {}),
+        "{}: line 5 is not a vertex or a face ('f 1 2 x'): export the scan again, as OBJ with"
         " plain indices or as binary STL",
     ),
     "points": (
