@@ -135,12 +135,15 @@ class LimbMotion:
 
 
 def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None:
-    """The courses of a trial; None with too few complete samples, fewer than two clusters or a
-    dead moment.
+    """The courses of a trial.
 
     Args:
         samples: The samples, with rotations since the mean attitude.
         geometry: The socket, which has the clusters of the samples.
+
+    Returns:
+        The courses, or None with too few complete samples, fewer than two clusters or a moment
+        that stands still.
     """
     pressing = -samples.trusted_forces[:, :, 2]
     seen = np.asarray(np.isfinite(pressing).any(axis=0))

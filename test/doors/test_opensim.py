@@ -5,6 +5,7 @@ At 12.0 s the force is (14, 3, -90) N and the moment (0.55, 0.1, 0.5) N m, see `
 and the force along z -60 N x 0.75 = -45 N.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,11 @@ pytestmark = pytest.mark.slow
 def opensim() -> Any:
     """OpenSim, which reports errors alone."""
     why = "the wheel of OpenSim is not installed: pip install -r requirements/opensim.txt"
+    before = dict(os.environ)
     module = pytest.importorskip("opensim", reason=why)
+    # Its import overwrites LD_LIBRARY_PATH, without which no later test's node finds ROS.
+    os.environ.clear()
+    os.environ.update(before)
     module.Logger.setLevelString("Error")
     return module
 
