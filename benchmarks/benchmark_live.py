@@ -43,7 +43,8 @@ from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.description import summary
-from socket_testbed.trials.topics import (
+from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,
     REQUIRED,
@@ -51,7 +52,6 @@ from socket_testbed.trials.topics import (
     Topic,
     match_topics,
 )
-from socket_testbed.trials.trial import Trial
 
 RELAYED = Topic("relayed", CAPACITANCE.type)
 SETTLED = 8.0  # [s]; after the first trigger: nodes are imported, the first model is fitted

@@ -25,9 +25,9 @@ from socket_testbed.files import CONFIGURATION_FILES, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation.trial import simulate, write_simulated_trial
 from socket_testbed.trials.bag import BagReader, BagWriter, required_topics
-from socket_testbed.trials.cdr import Layout
-from socket_testbed.trials.topics import match_topics
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import Layout
+from socket_testbed.wire.topics import match_topics
 
 RATE = 100.0  # [Hz]
 PIECE = 10.0  # [s]

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from socket_testbed.files import packaged
-from socket_testbed.trials.cdr import fields_of
-from socket_testbed.trials.topics import TOPICS
+from socket_testbed.wire.cdr import fields_of
+from socket_testbed.wire.topics import TOPICS
 
 TYPES = {f"/{topic.name.lstrip('/')}": topic.type for topic in TOPICS}
 

@@ -29,12 +29,12 @@ from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples, mean_and_sigma
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.description import summary
-from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import GroundTruth, read_truth
+from socket_testbed.wire import topics
+from socket_testbed.wire.messages import Reader
 
 _LOG = "live.log"  # only a demo writes it
 _DURATION = 60.0  # [s] of testbed time; of the trial

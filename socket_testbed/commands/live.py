@@ -45,8 +45,8 @@ from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag_parts import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
-from socket_testbed.trials.topics import Service, full_name, full_namespace
 from socket_testbed.trials.trial import read_configuration, recorded_namespace
+from socket_testbed.wire.topics import Service, full_name, full_namespace
 
 # Beginnings of the descriptions of faults that take the number of a thing, from 1.
 _COUNTED = ("number of the cluster", "1 + the", "-1: the limb")

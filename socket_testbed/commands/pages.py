@@ -39,8 +39,8 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import Table
 from socket_testbed.trials.metadata import FIELDS
-from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.topics import full_namespace
 
 if TYPE_CHECKING:
     from socket_testbed.report.results import Results  # slow: it imports matplotlib

@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Self
 
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.tables import NOTHING, Table, duration_text, number
-from socket_testbed.trials.topics import full_namespace
+from socket_testbed.wire.topics import full_namespace
 
 if TYPE_CHECKING:
     from socket_testbed.nodes.controls import StatusListener

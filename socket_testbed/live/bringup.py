@@ -52,9 +52,9 @@ from socket_testbed.trials.metadata import (
     read_metadata,
     write_metadata,
 )
-from socket_testbed.trials.topics import full_name, full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
 from socket_testbed.trials.truth import TRUTH_FILE
+from socket_testbed.wire.topics import full_name, full_namespace
 
 _START_TIMEOUT = 120.0  # [s]; for the simulation, on a busy machine
 _DRAIN_TIME = 1.0  # [s] of the testbed; for the last sample to pass through

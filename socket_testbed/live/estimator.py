@@ -33,8 +33,8 @@ from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_sampl
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials.messages import in_order
-from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
+from socket_testbed.wire.messages import in_order
+from socket_testbed.wire.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 
 MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # the parts of a sample
 

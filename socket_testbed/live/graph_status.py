@@ -10,7 +10,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.samples import WITHOUT_VALUE
-from socket_testbed.trials import topics
+from socket_testbed.wire import topics
 
 _MAX_PENDING = 1000  # stamps whose measurements are incomplete
 _ERROR_WINDOW = 10.0  # [s]; averaging window of the prediction errors

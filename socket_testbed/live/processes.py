@@ -24,7 +24,7 @@ from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
-from socket_testbed.trials.topics import full_namespace
+from socket_testbed.wire.topics import full_namespace
 
 # Environment variables of the processes:
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another

@@ -38,8 +38,8 @@ from socket_testbed import clocks, drivers
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
-from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader, check_lengths
-from socket_testbed.trials.topics import CLOCK, DIAGNOSTICS, RECORDED_TRIAL, Topic
+from socket_testbed.wire.messages import LOAD_CELL_FRAME, Reader, check_lengths
+from socket_testbed.wire.topics import CLOCK, DIAGNOSTICS, RECORDED_TRIAL, Topic
 
 OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 

@@ -12,8 +12,8 @@ from socket_testbed.files import CALIBRATION_FILE, file_or_packaged
 from socket_testbed.nodes.base import ERROR, MESSAGES, NEWEST_STAMP, OK, WARN, TestbedNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
-from socket_testbed.trials.messages import Capacitances, stress_packer
-from socket_testbed.trials.topics import CAPACITANCE, STRESS
+from socket_testbed.wire.messages import Capacitances, stress_packer
+from socket_testbed.wire.topics import CAPACITANCE, STRESS
 
 
 class CalibrationNode(TestbedNode[CalibrationNodeSettings]):

@@ -14,8 +14,8 @@ from socket_testbed.nodes.base import ERROR, OK, SAMPLES
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
-from socket_testbed.trials.messages import capacitance_packer
-from socket_testbed.trials.topics import CAPACITANCE
+from socket_testbed.wire.messages import capacitance_packer
+from socket_testbed.wire.topics import CAPACITANCE
 
 _READ_TIMEOUT = 0.5  # [s]; a longer reading means a hanging bus
 

@@ -28,8 +28,8 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials import events
-from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.topics import (
+from socket_testbed.wire.messages import Reader
+from socket_testbed.wire.topics import (
     DIAGNOSTICS,
     ESTIMATED_WRENCH,
     EVENT,

@@ -30,9 +30,9 @@ from socket_testbed.live.estimator import MEASURED, OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import messages, topics
-from socket_testbed.trials.cdr import blank, elements
-from socket_testbed.trials.messages import named
+from socket_testbed.wire import messages, topics
+from socket_testbed.wire.cdr import blank, elements
+from socket_testbed.wire.messages import named
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
 _REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms

@@ -20,7 +20,7 @@ from socket_testbed.nodes.base import (
     TestbedNode,
     reported_values,
 )
-from socket_testbed.trials.topics import DIAGNOSTICS, full_name
+from socket_testbed.wire.topics import DIAGNOSTICS, full_name
 
 _POLL_INTERVAL = 0.02  # [s]
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # ROS raises an error for any other

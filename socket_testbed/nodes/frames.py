@@ -20,7 +20,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.nodes import base
-from socket_testbed.trials import messages, topics
+from socket_testbed.wire import messages, topics
 
 SOCKET_FRAME = "socket"  # the socket's marker body
 LIMB_FRAME = "limb"  # origin at the lumped mass

@@ -23,8 +23,8 @@ from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN, header_to_ros, recorded_trial
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
-from socket_testbed.trials.messages import load_cell_raw_packer, wrench_packer
-from socket_testbed.trials.topics import (
+from socket_testbed.wire.messages import load_cell_raw_packer, wrench_packer
+from socket_testbed.wire.topics import (
     EVENT,
     LOAD_CELL_RAW,
     RECORDED_TRIAL,

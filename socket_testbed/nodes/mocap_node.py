@@ -21,7 +21,7 @@ from socket_testbed.nodes import base
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import MocapSettings, averaging_span
-from socket_testbed.trials import messages, topics
+from socket_testbed.wire import messages, topics
 
 _GONE_AFTER = 5  # checks in a row without a recorder; discovery may pause
 

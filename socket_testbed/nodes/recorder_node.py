@@ -39,8 +39,8 @@ from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNod
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
 from socket_testbed.trials import metadata
 from socket_testbed.trials.bag import BagWriter, is_bag
-from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS, Service
 from socket_testbed.trials.trial import read_configuration, store_configuration
+from socket_testbed.wire.topics import RECORDED_TRIAL, TOPICS, Service
 
 _SILENCE_TIMEOUT = 10.0  # [s]; for a graph to start
 

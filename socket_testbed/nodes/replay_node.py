@@ -23,10 +23,10 @@ from socket_testbed.nodes import base
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
-from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, RawMessage
-from socket_testbed.trials.messages import Reader, VectorPacker
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import topics
+from socket_testbed.wire.messages import Reader, VectorPacker
 
 _READY_TIMEOUT = 180.0  # [s]; for the followers to start and discover each other
 _DISCOVERY_TIME = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random

@@ -9,7 +9,7 @@ from typing import Any
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.nodes.base import ERROR, OK, SAMPLES, WARN, RecentFault, S, TestbedNode
-from socket_testbed.trials.topics import TRIGGER
+from socket_testbed.wire.topics import TRIGGER
 
 _IDLE_AFTER = 0.3  # [s]; without a trigger
 _SETTLING_TIME = 5.0  # [s]; for a device to answer; then the testbed starts without it

@@ -31,8 +31,8 @@ from socket_testbed.nodes.base import (
 )
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import READY_TIMEOUT, TriggerSettings
-from socket_testbed.trials.messages import trigger_packer
-from socket_testbed.trials.topics import CLOCK, TRIGGER, Service
+from socket_testbed.wire.messages import trigger_packer
+from socket_testbed.wire.topics import CLOCK, TRIGGER, Service
 
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
 _LINGER = 0.05  # [s]; a busy node may not have received the last trigger when its publisher ends

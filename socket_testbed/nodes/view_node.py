@@ -43,9 +43,9 @@ from socket_testbed.pages.server import PageServer, is_local
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import duration_text
-from socket_testbed.trials import topics
-from socket_testbed.trials.messages import Reader, in_order
 from socket_testbed.trials.metadata import FIELDS, SIDES
+from socket_testbed.wire import topics
+from socket_testbed.wire.messages import Reader, in_order
 
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
 _SILENT_AFTER = 3.0 * base.REPORT_PERIOD  # [s]; a node without a report for longer is silent

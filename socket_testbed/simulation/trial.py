@@ -31,10 +31,10 @@ from socket_testbed.settings.acquisition import LoadCellSettings, MocapSettings,
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.trial import read_configuration, store_configuration
 from socket_testbed.trials.truth import TRUTH_FILE, GroundTruth, save_truth
+from socket_testbed.wire import messages, topics
 
 # Delay of each measurement after its trigger [ns].
 _DELAYS = {

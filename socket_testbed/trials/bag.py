@@ -44,10 +44,10 @@ from socket_testbed.trials.bag_parts import (
     storage_kind,
     what_else,
 )
-from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.mcap_file import McapFile, is_empty
 from socket_testbed.trials.sqlite_file import SqliteFile
-from socket_testbed.trials.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
+from socket_testbed.wire.cdr import typestore
+from socket_testbed.wire.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
 
 _MAX_UNPACKED = 2**28  # [bytes]; size limit of an unpacked file, or
 _MAX_RATIO = 500  # times the packed size; recorders reach 20

@@ -26,8 +26,8 @@ from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples, force_magnitude
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.topics import EVENT, TARE, TRIGGER, match_topics
+from socket_testbed.wire.messages import Reader
+from socket_testbed.wire.topics import EVENT, TARE, TRIGGER, match_topics
 
 PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"

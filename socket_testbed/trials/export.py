@@ -33,11 +33,11 @@ from socket_testbed.files import atomic_output, write_text
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
-from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import Measurements, marker_count, read_measurements
-from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import typestore
+from socket_testbed.wire.topics import MARKERS
 
 _CDR_HEADER = b"\x00\x01\x00\x00"  # little endian
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")

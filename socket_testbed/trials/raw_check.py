@@ -31,10 +31,10 @@ from socket_testbed.identification.data_check import (
 )
 from socket_testbed.identification.noise import deviations
 from socket_testbed.settings.acquisition import LoadCellSettings
-from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.cdr import decode, stamp_of
 from socket_testbed.trials.synchronise import Measurements
+from socket_testbed.wire import topics
+from socket_testbed.wire.cdr import decode, stamp_of
 
 MAX_REPEATED = 0.1  # [-]; share of readings that repeat the one before; sound 0.0
 NOISE_RATIO = 8.0  # [-]; of an input's noise to that of its cluster's others; sound up to 1.6

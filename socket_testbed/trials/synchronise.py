@@ -21,10 +21,10 @@ from socket_testbed.errors import TrialError, listed
 from socket_testbed.geometry.marker_bodies import MAX_MARKERS
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
-from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.bag_parts import MAX_APART
-from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
+from socket_testbed.wire import topics
+from socket_testbed.wire.messages import Reader, VectorPacker, pose_packer, wrench_packer
 
 
 @dataclass(frozen=True)

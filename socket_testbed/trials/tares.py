@@ -9,10 +9,10 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell.load_cell import in_words, iso_time
-from socket_testbed.trials import cdr
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.topics import LOAD_CELL_RAW, match_topics
+from socket_testbed.wire import cdr
+from socket_testbed.wire.messages import Reader
+from socket_testbed.wire.topics import LOAD_CELL_RAW, match_topics
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,9 @@ from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, named_channels
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.tables import split_unit, stacked
-from socket_testbed.trials import reprocess, synchronise, topics
+from socket_testbed.trials import reprocess, synchronise
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.events import Event, find_events, join_events, read_events
-from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
 from socket_testbed.trials.segment import (
     Segment,
@@ -42,6 +41,8 @@ from socket_testbed.trials.segment import (
     specification_of,
 )
 from socket_testbed.trials.truth import GroundTruth, read_truth
+from socket_testbed.wire import topics
+from socket_testbed.wire.messages import Reader
 
 if TYPE_CHECKING:
     import pandas as pd

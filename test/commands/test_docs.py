@@ -17,7 +17,7 @@ from socket_testbed.identification import data_check, plausibility, pressure, pr
 from socket_testbed.nodes import estimator_node, recorder_node
 from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.trials import events, raw_check
-from socket_testbed.trials.topics import PUBLISHER_DEPTH, TOPICS, Topic
+from socket_testbed.wire.topics import PUBLISHER_DEPTH, TOPICS, Topic
 
 DOCS = CHECKOUT / "docs"
 PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *DOCS.glob("*.md")]

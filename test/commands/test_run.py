@@ -25,10 +25,10 @@ from socket_testbed.live import doctor
 from socket_testbed.live.scheduling import MachineSpeed
 from socket_testbed.nodes import controls
 from socket_testbed.settings.testbed import read_testbed
-from socket_testbed.trials import topics
-from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import topics
+from socket_testbed.wire.cdr import stamp_of
 
 pytestmark = pytest.mark.graph
 

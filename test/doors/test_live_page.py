@@ -21,7 +21,7 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.nodes import view_node
 from socket_testbed.nodes.view_node import LiveSource
-from socket_testbed.trials import topics
+from socket_testbed.wire import topics
 
 LEVELS = ("proximal", "middle", "distal")
 SIDES = ("anterior", "posterior", "left", "right")

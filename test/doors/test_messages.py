@@ -21,7 +21,7 @@ from socket_testbed.live.estimator import Estimates, OnlineEstimator
 from socket_testbed.nodes.estimator_node import PressureMap
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import messages, topics
+from socket_testbed.wire import messages, topics
 
 STAMP = scene.START + 12 * 10**9
 

@@ -21,7 +21,7 @@ from support import scene
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.trials import messages
+from socket_testbed.wire import messages
 
 # unit, RMSE, MAE, sigma, skill, in the objective
 ERRORS = {

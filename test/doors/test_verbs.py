@@ -24,10 +24,10 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.fit import ChannelErrors, evaluate, predictions
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.trials import topics
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import topics
 
 
 @pytest.fixture

@@ -28,8 +28,8 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
 from socket_testbed.trials.segment import find_plateaus
-from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 
 PERIOD = 250_000_000  # [ns]
 PRIOR = ForceMapSettings(draws=4)

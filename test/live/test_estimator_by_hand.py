@@ -20,7 +20,7 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
-from socket_testbed.trials import topics
+from socket_testbed.wire import topics
 
 OK, WARN, ERROR = 0, 1, 2
 SECOND = 10**9  # [ns]

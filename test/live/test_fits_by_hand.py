@@ -19,7 +19,7 @@ from socket_testbed.live.fit_worker import Refit, Steady
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
-from socket_testbed.trials import topics
+from socket_testbed.wire import topics
 
 TENTH = 100_000_000  # [ns]
 

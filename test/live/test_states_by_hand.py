@@ -15,7 +15,7 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.live.estimator import OnlineEstimator
 from socket_testbed.live.fit_worker import Refit
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
-from socket_testbed.trials import topics
+from socket_testbed.wire import topics
 
 
 class Worker:

@@ -17,8 +17,8 @@ from socket_testbed.nodes import __main__ as program
 from socket_testbed.nodes import controls as module
 from socket_testbed.nodes.calibration_node import CalibrationNode
 from socket_testbed.nodes.controls import EventMarker, Marked, ServiceControls, StatusListener
-from socket_testbed.trials import topics
 from socket_testbed.trials.events import stamp_by_triggers
+from socket_testbed.wire import topics
 
 # --- services
 

@@ -8,7 +8,7 @@ from support.clocks import SystemClock
 from support.testbeds import MEASURED, LiveTestbed, Recorded
 from support.verbs import program
 
-from socket_testbed.trials.topics import WRENCH
+from socket_testbed.wire.topics import WRENCH
 
 pytestmark = pytest.mark.graph
 

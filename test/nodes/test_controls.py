@@ -27,11 +27,11 @@ from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.trials import messages, topics
-from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.events import stamp_by_triggers
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import messages, topics
+from socket_testbed.wire.cdr import stamp_of
 
 EPOCH = 1_795_000_000_000_000_000  # [ns]
 

@@ -15,7 +15,7 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.nodes import base
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.testbed import ReplaySettings, WindowSettings
-from socket_testbed.trials import cdr, messages, topics
+from socket_testbed.wire import cdr, messages, topics
 
 OK, WARN, ERROR = 0, 1, 2
 

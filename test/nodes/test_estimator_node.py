@@ -12,7 +12,7 @@ from support.nodes import Maker, running_ros
 
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.nodes import estimator_node
-from socket_testbed.trials import topics
+from socket_testbed.wire import topics
 
 PERIOD = 50_000_000  # [ns]; 20 Hz
 

@@ -31,11 +31,11 @@ from socket_testbed.nodes.base import ELAPSED, FREE, TestbedNode
 from socket_testbed.nodes.view_node import LiveSource
 from socket_testbed.settings import testbed
 from socket_testbed.settings.fields import Settings
-from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.cdr import decode
-from socket_testbed.trials.messages import Reader, capacitance_packer, force_map_packer
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import topics
+from socket_testbed.wire.cdr import decode
+from socket_testbed.wire.messages import Reader, capacitance_packer, force_map_packer
 
 pytestmark = pytest.mark.graph
 

@@ -17,8 +17,8 @@ from support.testbeds import manageable
 from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import RANGE, Graph
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.trials.cdr import stamp_of
-from socket_testbed.trials.topics import TF, TF_STATIC, TRIGGER, WRENCH
+from socket_testbed.wire.cdr import stamp_of
+from socket_testbed.wire.topics import TF, TF_STATIC, TRIGGER, WRENCH
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow]
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from support.testbeds import MEASURED, LiveTestbed, Recorded
 
-from socket_testbed.trials.cdr import stamp_of
-from socket_testbed.trials.topics import WRENCH
+from socket_testbed.wire.cdr import stamp_of
+from socket_testbed.wire.topics import WRENCH
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow]
 

@@ -23,7 +23,7 @@ from socket_testbed.identification.pressure import Quantity
 from socket_testbed.nodes import view_node
 from socket_testbed.nodes.view_node import LiveSource, ViewNode
 from socket_testbed.samples import Samples
-from socket_testbed.trials import messages, topics
+from socket_testbed.wire import messages, topics
 
 STAMP = scene.START
 PLACES = [place.name for place in all_regions(scene.geometry())]

@@ -25,7 +25,7 @@ from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
 from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
-from socket_testbed.trials import cdr, messages, topics
+from socket_testbed.wire import cdr, messages, topics
 
 FOLDER = CHECKOUT / "msg_defs" / "msg"
 CONTRACT = """

@@ -21,10 +21,10 @@ from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.cdr import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import RECORDED_TRIAL, TF, WRENCH, match_topics
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import decode, nanoseconds, stamp_of
+from socket_testbed.wire.topics import RECORDED_TRIAL, TF, WRENCH, match_topics
 
 pytestmark = pytest.mark.graph
 

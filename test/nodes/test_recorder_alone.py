@@ -17,9 +17,9 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.nodes.recorder_node import RecorderNode
-from socket_testbed.trials import messages
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.metadata import TrialMetadata, read_metadata
+from socket_testbed.wire import messages
 
 OK, WARN, ERROR = 0, 1, 2
 MEASURED = (

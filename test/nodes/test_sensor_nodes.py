@@ -31,7 +31,7 @@ from socket_testbed.nodes.calibration_node import CalibrationNode
 from socket_testbed.samples import Status
 from socket_testbed.simulation.devices.gpio import SimulatedLines
 from socket_testbed.simulation.world import FAULTS
-from socket_testbed.trials.messages import Capacitances
+from socket_testbed.wire.messages import Capacitances
 
 OK, WARN, ERROR = 0, 1, 2
 STAMP = scene.START + 12 * 10**9

@@ -17,9 +17,9 @@ from socket_testbed.nodes.base import TestbedNode
 from socket_testbed.nodes.controls import Marked, _refusal
 from socket_testbed.nodes.recorder_node import RecorderNode
 from socket_testbed.nodes.replay_node import ReplayNode
-from socket_testbed.trials import messages
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.topics import EVENT
+from socket_testbed.wire import messages
+from socket_testbed.wire.topics import EVENT
 
 OK, WARN, ERROR = 0, 1, 2
 REQUIRED = {

@@ -22,7 +22,7 @@ from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import Service, ServiceControls
 from socket_testbed.nodes.view_node import LiveSource
 from socket_testbed.samples import Status
-from socket_testbed.trials import messages, topics
+from socket_testbed.wire import messages, topics
 
 EPOCH = 1_795_000_000_000_000_000  # [ns]
 

@@ -16,9 +16,9 @@ from socket_testbed.errors import TrialError
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.pages.player import Player
 from socket_testbed.samples import Status
-from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import stamp_of
 
 MEAN = "mean pressure [kPa]"
 

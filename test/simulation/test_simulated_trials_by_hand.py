@@ -10,9 +10,9 @@ from socket_testbed.errors import TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.simulation import trial as module
 from socket_testbed.simulation.trial import GroundTruth, SimulatedTrial, write_simulated_trial
-from socket_testbed.trials import cdr
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.truth import read_truth
+from socket_testbed.wire import cdr
 
 START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 PERIOD = 250_000_000  # [ns]

@@ -12,9 +12,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from socket_testbed.files import CONFIGURATION_FILES
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.cdr import decode, encode, make_message, typestore
-from socket_testbed.trials.topics import EVENT, match_topics
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import decode, encode, make_message, typestore
+from socket_testbed.wire.topics import EVENT, match_topics
 
 
 @contextmanager

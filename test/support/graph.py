@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
-from socket_testbed.trials.topics import DIAGNOSTICS, Topic
+from socket_testbed.wire.topics import DIAGNOSTICS, Topic
 from support import HANGS
 
 _ASK_AGAIN = 3.0  # [s]

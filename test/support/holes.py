@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.trials.cdr import stamp_of
+from socket_testbed.wire.cdr import stamp_of
 from support import scene
 from support.bags import rewrite
 

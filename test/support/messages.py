@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.trials.cdr import fields_of, typestore
+from socket_testbed.wire.cdr import fields_of, typestore
 
 
 class Maker:

@@ -19,10 +19,10 @@ from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import busy_note
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.trials import topics
-from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import TRUTH_FILE
+from socket_testbed.wire import topics
+from socket_testbed.wire.messages import Reader
 from support.clocks import careful_time_scale
 from support.graph import Probe
 

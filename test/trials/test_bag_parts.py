@@ -19,9 +19,9 @@ from support.wording import refused
 
 from socket_testbed.documents import dump_yaml, load_yaml
 from socket_testbed.errors import TrialError
-from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, find_trials
 from socket_testbed.trials.bag_parts import missing_numbers, span_in_words
+from socket_testbed.wire import messages, topics
 
 START = scene.START
 SECOND = 10**9  # [ns]

@@ -9,9 +9,10 @@ from support.wording import refused
 
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
-from socket_testbed.trials import bag, cdr, messages, topics
+from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.trial import Trial, read_configuration, store_configuration
+from socket_testbed.wire import cdr, messages, topics
 
 START = scene.START
 SECOND = 10**9  # [ns]

@@ -15,9 +15,10 @@ from socket_testbed.errors import TrialError
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials import description, events, reprocess, segment, synchronise, topics
+from socket_testbed.trials import description, events, reprocess, segment, synchronise
 from socket_testbed.trials.events import Event
 from socket_testbed.trials.synchronise import Measurements
+from socket_testbed.wire import topics
 
 SECOND = 10**9  # [ns]
 

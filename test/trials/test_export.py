@@ -21,8 +21,8 @@ from socket_testbed.identification.fit import evaluate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import matlab_names, write_table
-from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import stamp_of
 
 SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
 

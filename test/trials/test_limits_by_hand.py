@@ -7,10 +7,11 @@ import pytest
 from support import scene
 from support.bags import rewrite
 
-from socket_testbed.trials import events, synchronise, topics
+from socket_testbed.trials import events, synchronise
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.metadata import TrialMetadata, change_metadata
 from socket_testbed.trials.synchronise import Measurements, read_measurements
+from socket_testbed.wire import topics
 
 
 @pytest.fixture(scope="module")

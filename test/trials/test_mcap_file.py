@@ -21,8 +21,8 @@ from mcap.writer import IndexType, Writer
 import socket_testbed as st
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, holds_nothing
-from socket_testbed.trials.topics import CAPACITANCE, WRENCH
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.topics import CAPACITANCE, WRENCH
 
 START = 1_760_000_000_000_000_000  # [ns]
 CHUNKS = 6

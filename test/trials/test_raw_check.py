@@ -15,10 +15,11 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.trial import SimulatedTrial, simulate, write_simulated_trial
-from socket_testbed.trials import raw_check, topics
-from socket_testbed.trials.cdr import decode, encode, make_message, stamp_of
-from socket_testbed.trials.messages import load_cell_raw_packer
+from socket_testbed.trials import raw_check
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import topics
+from socket_testbed.wire.cdr import decode, encode, make_message, stamp_of
+from socket_testbed.wire.messages import load_cell_raw_packer
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 COUNT = 120  # 30 s at 4 Hz

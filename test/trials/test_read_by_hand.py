@@ -12,9 +12,10 @@ from socket_testbed.errors import TrialError
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.suspension import Suspension
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import cdr, messages, pressure, synchronise, topics
-from socket_testbed.trials.messages import Reader
+from socket_testbed.trials import pressure, synchronise
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import cdr, messages, topics
+from socket_testbed.wire.messages import Reader
 
 SECOND = 10**9  # [ns]
 

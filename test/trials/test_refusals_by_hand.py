@@ -16,11 +16,12 @@ from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.samples import Samples
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials import events, metadata, reprocess, segment, synchronise, topics
+from socket_testbed.trials import events, metadata, reprocess, segment, synchronise
 from socket_testbed.trials.events import Event
 from socket_testbed.trials.metadata import TrialMetadata, change_metadata
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire import topics
 
 SETTINGS = PlateauSettings()
 

@@ -23,10 +23,10 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.trials import reprocess, synchronise
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.cdr import decode, stamp_of
-from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
-from socket_testbed.trials.topics import LOAD_CELL_RAW, MARKERS
 from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import decode, stamp_of
+from socket_testbed.wire.messages import load_cell_raw_packer, pose_packer, wrench_packer
+from socket_testbed.wire.topics import LOAD_CELL_RAW, MARKERS
 
 WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
 

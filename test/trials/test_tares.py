@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from socket_testbed.trials import messages, topics
 from socket_testbed.trials.tares import RecordedTare, read_tares, tares_in_words
+from socket_testbed.wire import messages, topics
 
 SECOND = 10**9  # [ns]
 START = 1_795_000_000 * SECOND  # 2026-11-18 11:06:40 UTC

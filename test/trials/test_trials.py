@@ -21,12 +21,13 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Samples, Status
-from socket_testbed.trials import bag, messages, topics
+from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.cdr import Layout, decode, stamp_of
 from socket_testbed.trials.synchronise import Measurements, read_measurements
 from socket_testbed.trials.trial import Trial, recorded_namespace
 from socket_testbed.trials.truth import read_true_forces, read_truth
+from socket_testbed.wire import messages, topics
+from socket_testbed.wire.cdr import Layout, decode, stamp_of
 
 
 @pytest.fixture(scope="module", autouse=True)

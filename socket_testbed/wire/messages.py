@@ -16,7 +16,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
-from socket_testbed.trials import cdr, topics
+from socket_testbed.wire import cdr, topics
 
 if TYPE_CHECKING:
     from socket_testbed.identification.fit import Fit
