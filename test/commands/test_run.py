@@ -76,7 +76,7 @@ def test_run_records_until_ctrl_c(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert read_testbed(path / "testbed.yaml").trigger_node.rate == 20.0
 
 
-@pytest.mark.parametrize("verb", ["run", "record"])
+@pytest.mark.parametrize("verb", [pytest.param("run", marks=pytest.mark.slow), "record"])
 def test_a_trial_that_went_away_is_named(verb: str, tmp_path: Path) -> None:
     """As after a disk was unplugged and unmounted: its folder is not there any more."""
     path = tmp_path / "disk" / "trial"

@@ -62,6 +62,7 @@ def test_timers_go_on_through_clock_steps(spun: str, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_nobody_falls_silent_after_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two hours back: reports, faults, the recorder's flush, and every value."""
     clock = SystemClock(tmp_path)

@@ -101,6 +101,7 @@ def test_a_server_that_restarts_is_named(live: LiveTestbed) -> None:
     live.wait_for_triggers(5)
 
 
+@pytest.mark.slow
 def test_exchanged_ids_cost_a_moment(live: LiveTestbed) -> None:
     for value in (1.0, 0.0):
         seen = len(live.probe.said("mocap_node"))
