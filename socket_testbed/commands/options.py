@@ -75,7 +75,11 @@ def open_checked(trial: Path, **options: Any) -> Trial:
     """Open a trial with its options, and report whether its data is good."""
     check_settings(options)
     opened = open_given(trial, **options)
-    report_data(opened, leave_out=options.get("leave_out"))
+    left_out, params = options.get("leave_out"), options.get("params")
+    if left_out is None and params is not None:
+        settings = opened.with_channels(estimator_settings(opened.estimator, Path(params)))
+        left_out = settings.identification.leave_out
+    report_data(opened, leave_out=left_out)
     return opened
 
 

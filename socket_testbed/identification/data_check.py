@@ -52,7 +52,7 @@ from socket_testbed.samples import (
 )
 from socket_testbed.settings.identification import ForceMapSettings
 
-GOOD, LOOK = "data: good", "data: check "
+GOOD, CHECK = "data: good", "data: check "
 LEAST_CHECKED = 30
 MIN_LOAD_CHANGE = 15.0  # [N]; standard deviation of the load, to compare other sources with it
 MIN_LOAD = 15.0  # [N]; to compare the clusters with each other
@@ -116,7 +116,7 @@ class DataFinding:
     hint: str
 
     def __str__(self) -> str:
-        return f"{LOOK}{self.source}: {self.fact}; {self.hint}"
+        return f"{CHECK}{self.source}: {self.fact}; {self.hint}"
 
 
 def check_data(
@@ -155,7 +155,7 @@ def check_data(
         counted = replace(counted, position=nothing, rotation=nothing)
     if whole:
         in_doubt = LOAD in unclear
-        courses = [*_time_series(counted, geometry, in_doubt)]
+        courses = [*_time_series(_without_faulty_pose(counted, raw), geometry, in_doubt)]
         found += courses or ([] if in_doubt else [*_disagreements(counted, geometry)])
     stopped = {each.source for each in raw if STILL in each.fact}
     found += [
@@ -167,6 +167,15 @@ def check_data(
     notes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in notes]
     return tuple(found)
+
+
+def _without_faulty_pose(samples: Samples, raw: tuple[DataFinding, ...]) -> Samples:
+    """The samples, without poses if these jump or stand still: nothing is judged by such poses."""
+    stopped = any(each.source == "the limb pose" and STILL in each.fact for each in raw)
+    if not stopped and not any(_jumps(samples)):
+        return samples
+    nothing = np.full_like(samples.position, np.nan)
+    return replace(samples, position=nothing, rotation=nothing)
 
 
 MOMENT_CHANNELS = tuple(WRENCH_CHANNELS[MOMENTS])

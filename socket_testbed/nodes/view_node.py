@@ -27,7 +27,7 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.identification.data_check import LOOK
+from socket_testbed.identification.data_check import CHECK
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     THRESHOLD,
@@ -326,7 +326,7 @@ class LiveSource:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if not rows and not bad:
             return document.data_card(["no data from the testbed"], "", "none"), rows
-        problems = [words.removeprefix(f"estimator: {LOOK}") for _, words in sorted(bad)[::-1]]
+        problems = [words.removeprefix(f"estimator: {CHECK}") for _, words in sorted(bad)[::-1]]
         return document.data_card(problems, f"all {len(rows)} nodes report OK"), rows
 
     def _recording(self) -> document.Document:

@@ -25,6 +25,7 @@ from socket_testbed.errors import fact_and_hint
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.data_check import (
     LEAST_CHECKED,
+    MAX_MISSING,
     STILL,
     DataFinding,
     still_limit,
@@ -62,7 +63,8 @@ def check_readings(
             *_noisy_inputs(measured),
             *_stopped_bodies(measured),
         ]
-        found += [*_stopped_bridges(measured), *_repetitions(measured)]
+        found += [*_stopped_bridges(measured), *_missing_bridges(measured)]
+        found += _repetitions(measured)
     return tuple(found)
 
 
@@ -191,10 +193,30 @@ def _stopped_bridges(measured: Measurements) -> Iterator[DataFinding]:
             )
 
 
+def _missing_bridges(measured: Measurements) -> Iterator[DataFinding]:
+    """Bridges without a ratio at samples whose wrench and other bridges are known."""
+    known = np.isfinite(measured.ratios)
+    if not len(known):  # not recorded
+        return
+    sound = np.isfinite(measured.wrench).all(axis=1) & known.any(axis=1)
+    if sound.sum() < LEAST_CHECKED:
+        return
+    for bridge, share in enumerate(1.0 - known[sound].mean(axis=0), start=1):
+        if share > MAX_MISSING:
+            yield DataFinding(
+                "the load cell",
+                f"{100.0 * share:.0f} % of the ratios of bridge {bridge} are missing beside a"
+                " complete wrench",
+                "check the bridge and its wiring, and where the wrench comes from",
+            )
+
+
 def _stopped_bodies(measured: Measurements) -> Iterator[DataFinding]:
     """Marker bodies that stand still, whatever the noise of the other one does."""
     for body in topics.POSES:
-        if span := _still_for(measured, getattr(measured, body)):
+        pose = getattr(measured, body)
+        spans = [_still_for(measured, part) for part in (pose[:, :3], pose[:, 3:])]
+        if span := max(spans):
             yield DataFinding(
                 "the limb pose",
                 f"the pose of the {body} does {STILL} {span:.1f} s",
