@@ -254,11 +254,13 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
         calls.append(("tiles", samples.tolist(), truth.tolist(), [*estimators], name))
         return ["tiles"]
 
-    def fields(geometry: Any, own: Any) -> dict[str, Any]:
+    def fields(geometry: Any, own: Any, prior_map: Any) -> dict[str, Any]:
         calls.append(("prior", own.length))
         return {"map": None}
 
-    def mapped(samples: Any, geometry: Any, own: EstimatorSettings, name: str) -> list[str]:
+    def mapped(
+        samples: Any, geometry: Any, own: EstimatorSettings, name: str, prior_map: Any
+    ) -> list[str]:
         calls.append(("clusters", own.force_map.length, own.plateau.least_force, name))
         return ["clusters"]
 
@@ -334,7 +336,7 @@ def test_clusters_are_judged_under_load(least_force: float, stage: Stage) -> Non
         return [name]
 
     stage.patch.setattr(validation, "judge_clusters", judge)
-    stage.patch.setattr(validation, "field_estimators", lambda geometry, own: own.length)
+    stage.patch.setattr(validation, "field_estimators", lambda geometry, own, given: own.length)
     stage.patch.setattr(validation, "measurement_errors", lambda samples, noise, own: own.length)
     own = settings_of(least_force=least_force, length=0.05)
     samples = stage.trial.samples()
