@@ -69,7 +69,7 @@ def section(results: Results) -> Section:
             Heading("Noise"),
             "From the third differences of the trial, without outliers and steps. Motion from"
             " sample to sample, such as a person's sway, counts as noise.",
-            noise_table(results.samples),
+            noise_table(results.samples.clusters, results.noise),
         ],
     )
 
