@@ -44,7 +44,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,7 +179,7 @@ class TrialFit(Result):
         return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.tiles import tile_map_figure
+        from socket_testbed.figures.tiles import tile_map_figure
 
         model = self.fit.model
         maps = {

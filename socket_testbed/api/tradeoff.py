@@ -29,7 +29,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 _MAX_THETAS = 10_001
 

@@ -43,7 +43,7 @@ from socket_testbed.trials.truth import read_true_forces
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 _MAX_FITTED = 12  # trials to fit models on, and trials to test each of them on
 
