@@ -17,6 +17,7 @@ LAYERS = (
     ("settings", "geometry"),
     ("drivers", "calibration", "identification", "socket_design", "wire"),
     ("trials",),
+    ("figures",),
     ("pages",),
     ("batch", "simulation", "report"),
     ("live",),

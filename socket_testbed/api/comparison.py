@@ -53,7 +53,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 _MAX_ITEMS = 200  # trials or conditions
 _MOST_DIFFERING = 10  # in words
@@ -266,7 +266,7 @@ class Comparison(Result):
         """Maps of the mean pressure on the fixed colour scale."""
         if self.geometry is None:
             return super()._figure(style)
-        from socket_testbed.report.tiles import pressure_limits, tile_map_figure
+        from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
 
         pressures = self.tile_pressures(VALUE)
         return tile_map_figure(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle, Limits
+    from socket_testbed.figures.style import FigureStyle, Limits
 
 _POINTS = 101  # 0 to 100 % of a cycle
 _MAX_DURATION = 2.0  # [-]; over the median; a longer cycle contains a pause
@@ -139,7 +139,7 @@ class Cycles(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Mean of each quantity, with a band of one standard deviation."""
-        from socket_testbed.report.style import lay_out, panels, wrap
+        from socket_testbed.figures.style import lay_out, panels, wrap
 
         count = len(self.titles)
         if count > MAX_PANELS:
@@ -167,7 +167,7 @@ class Cycles(Result):
 
     def _draw_quantity(self, panel: Axes, number: int) -> None:
         """Mean of a quantity with its band, and the single cycles."""
-        from socket_testbed.report.style import LINE_STYLES
+        from socket_testbed.figures.style import LINE_STYLES
 
         percent, colour = np.linspace(0.0, 100.0, _POINTS), LINE_STYLES[1]["color"]
         mean, deviation = self.mean[:, number], self.deviation[:, number]

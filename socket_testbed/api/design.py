@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from socket_testbed.calibration.calibrate import BenchCalibration
     from socket_testbed.calibration.drift import Drift
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
     from socket_testbed.socket_design.design import SocketDesign
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
@@ -186,7 +186,7 @@ class CalibratedCluster(Result):
     def _figure(self, style: FigureStyle) -> Figure:
         """Calibrated versus known stress, and the residuals; a column per stress."""
         from socket_testbed.calibration.bench_data import STRESSES
-        from socket_testbed.report.style import MEASURED_STYLE, VERMILION, lay_out, style_axes
+        from socket_testbed.figures.style import MEASURED_STYLE, VERMILION, lay_out, style_axes
 
         found = self.quality
         groups = found.cross_validation.groups
@@ -472,9 +472,9 @@ def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
 
 
 def _write_design(design: SocketDesign, output: Path) -> None:
+    from socket_testbed.figures.style import save_figure
+    from socket_testbed.figures.tiles import socket_figure
     from socket_testbed.report.page import write_socket_page
-    from socket_testbed.report.style import save_figure
-    from socket_testbed.report.tiles import socket_figure
     from socket_testbed.socket_design.scan_file import simplify
 
     title = f"{design.name}: {len(design.geometry)} tiles"

@@ -130,7 +130,9 @@ def export(
         predicted = predictions(trial, stored)
         predicted[:, :6] = moments_about(predicted[:, :6], about)
         engaged = information.engagement(
-            trial.sound(stored.settings.leave_out), stored.model, stored.settings.pose_smoothing
+            trial.checked(stored.settings.leave_out).samples,
+            stored.model,
+            stored.settings.pose_smoothing,
         )
         added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
     if force_map:

@@ -18,7 +18,7 @@ from socket_testbed.api.trials import PathLike, as_trial, note_problems, setting
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import TABLES, write_text
-from socket_testbed.identification import information, plausibility
+from socket_testbed.identification import information
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
@@ -44,7 +44,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,7 +179,7 @@ class TrialFit(Result):
         return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.tiles import tile_map_figure
+        from socket_testbed.figures.tiles import tile_map_figure
 
         model = self.fit.model
         maps = {
@@ -411,7 +411,7 @@ def prepare_fit(
     chosen = first_frames(trial.select(segment, settings), samples, frames)
     leave_out = settings.identification.leave_out
     note_problems(trial, leave_out)
-    return trial, chosen, trial.sound(leave_out)[chosen.rows], settings.identification
+    return trial, chosen, trial.checked(leave_out).part(chosen.rows), settings.identification
 
 
 def read_model(path: PathLike) -> StoredModel:
@@ -469,8 +469,7 @@ def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
         The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
         of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
     """
-    plausibility.require_position(trial.samples(), trial.geometry)
-    return _predictions(trial.sound(stored.settings.leave_out), stored)
+    return _predictions(trial.checked(stored.settings.leave_out).posed(), stored)
 
 
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
@@ -543,12 +542,11 @@ def evaluate(
     if pose_smoothing is not None:
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
         stored = dataclasses.replace(stored, settings=changed)
-    samples, leave_out = trial.samples(), stored.settings.leave_out
+    leave_out = stored.settings.leave_out
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
     chosen = trial.select(segment, settings)
-    plausibility.require_position(samples[chosen.rows], trial.geometry)
+    rows = trial.checked(leave_out).posed(chosen.rows)
     note_problems(trial, leave_out)
-    rows = trial.sound(leave_out)[chosen.rows]
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.note(f"the model was fitted {fitted} --unloaded: its offsets differ")

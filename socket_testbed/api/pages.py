@@ -98,8 +98,8 @@ def write_report(
     """
     trial = trials.as_trial(trial)
     # matplotlib and plotly are slow to import.
+    from socket_testbed.figures.style import figure_style
     from socket_testbed.report.results import compute_results
-    from socket_testbed.report.style import figure_style
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle, Limits
+    from socket_testbed.figures.style import FigureStyle, Limits
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Outputs, keyed by part (`regions`, `tiles`, `limb`), name of the place, and title with the unit.
@@ -226,14 +226,14 @@ class TrialMap(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Mean pressure on the tiles, and its standard deviation."""
-        from socket_testbed.report.pressure import force_map_figure
+        from socket_testbed.figures.pressure import force_map_figure
 
         heading = f"{self.trial.name}, {self.segment}: force map"
         side = self.trial.metadata.side
         return force_map_figure(self.trial.geometry, self.mean, heading, style, side)
 
     def _draw_into(self, ax: Axes, limits: Limits) -> None:
-        from socket_testbed.report.tiles import draw_wall, pressure_limits
+        from socket_testbed.figures.tiles import draw_wall, pressure_limits
 
         mean, side = self.mean, self.trial.metadata.side
         pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
@@ -554,7 +554,7 @@ class TrialPressure(SegmentPressure, Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Unrolled maps, mean and at the peak; sectors, heights and user regions over time."""
-        from socket_testbed.report.pressure import pressure_figure
+        from socket_testbed.figures.pressure import pressure_figure
 
         return pressure_figure(self, f"{self.trial.name}: pressure, {self.segment}", style)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle, Limits
+    from socket_testbed.figures.style import FigureStyle, Limits
 
 
 class Result:
@@ -87,7 +87,7 @@ class Result:
         """
         self._check_scale(vmin, vmax)
         # matplotlib is slow to import.
-        from socket_testbed.report.style import figure_style, in_style
+        from socket_testbed.figures.style import figure_style, in_style
 
         found: Figure = in_style(self._figure)(figure_style(width, title, (vmin, vmax)))
         return found
@@ -129,7 +129,7 @@ class Result:
             self._draw_into(ax, (vmin, vmax))
         if path is not None:
             check_suffix(path_of(path, "the file"), PICTURES, "picture")
-            from socket_testbed.report.style import save_figure
+            from socket_testbed.figures.style import save_figure
 
             figure = self.figure(width, title, vmin, vmax)
             save_figure(figure, path_of(path, "the file"))

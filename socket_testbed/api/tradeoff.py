@@ -29,7 +29,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 _MAX_THETAS = 10_001
 
@@ -247,6 +247,6 @@ def paper(
     errors = {variant: found.fit.errors for variant, found in fits.items()}
     last = fits[PAPER_VARIANTS[-1]]
     settings = last.fit.settings
-    rows = trial.sound(settings.leave_out)[last.segment.rows]
+    rows = trial.checked(settings.leave_out).samples[last.segment.rows]
     table = beside_published(errors, fronts, rows, settings, trial.geometry)
     return PaperTable(trial, last.segment, last.fit.samples, settings, table)

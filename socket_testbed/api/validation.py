@@ -9,6 +9,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
@@ -28,9 +29,9 @@ from socket_testbed.api.trials import (
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification import validation
+from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -42,7 +43,7 @@ from socket_testbed.trials.truth import read_true_forces
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.figures.style import FigureStyle
 
 _MAX_FITTED = 12  # trials to fit models on, and trials to test each of them on
 
@@ -238,15 +239,24 @@ class _Recording:
     trial: Trial
     settings: EstimatorSettings
     samples: Samples
+    prior_map: ForceMap | None = None
 
     def judge(self, with_models: bool) -> list[validation.Judgement]:
         """Judgements on this trial alone, with or without model fits."""
         geometry = self.trial.geometry
         if not with_models:
-            return validation.judge_map(self.samples, geometry, self.settings, self.name)
+            return validation.judge_map(
+                self.samples, geometry, self.settings, self.name, self.prior_map
+            )
         truth = read_true_forces(self.trial.path, self.samples.stamps, geometry.names)
         return validation.judge_samples(
-            self.samples, geometry, self.settings, truth, self.name, self._note
+            self.samples,
+            geometry,
+            self.settings,
+            truth,
+            self.name,
+            self._note,
+            self.prior_map,
         )
 
     def judge_others(self, others: Sequence[_Recording]) -> list[validation.Judgement]:
@@ -290,10 +300,13 @@ def _recordings(
         with _skip_failed(name, trial, len(trials) > 1):
             settings = settings_of(trial, params, **choices)
             rows = trial.select(segment, settings).rows
-            require_position(trial.samples()[rows], trial.geometry)
-            leave_out = settings.identification.leave_out
-            samples = trial.sound(leave_out)[rows].without(leave_out)
-            found.append(_Recording(name, trial, settings, samples))
+            checked = trial.checked(settings.identification.leave_out)
+            samples = checked.counted[rows]
+            loaded = np.zeros(len(checked.measured), dtype=bool)
+            loaded[rows] = samples.under_load(settings.plateau.least_force)
+            checked.part(loaded)  # refuses another unit
+            prior_map = checked.prior_map(settings.force_map)
+            found.append(_Recording(name, trial, settings, samples, prior_map))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")
     return found

@@ -15,6 +15,9 @@ from socket_testbed import api
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.figures import style
+from socket_testbed.figures.scale import fixed_end
+from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions, place_of
 from socket_testbed.identification import validation
@@ -23,9 +26,6 @@ from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import SLOWEST, busy_note, measure_speed, speed_text
-from socket_testbed.pages.document import fixed_end
-from socket_testbed.report import style
-from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples, mean_and_sigma
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.testbed import Simulation

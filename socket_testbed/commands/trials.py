@@ -96,10 +96,10 @@ def info(trial: Path, **options: Any) -> None:
     print(f"{_topics(opened)}\n")
     report_data(opened)
     samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
-    sound = opened.sound(estimator.identification.leave_out)
-    tables = [drop_outs(samples), noise_table(sound)]
+    checked = opened.checked()
+    tables = [drop_outs(samples), noise_table(samples.clusters, checked.noise)]
     if plateaus := opened.plateaus(estimator):
-        tables.append(loads_table(sound, plateaus))
+        tables.append(loads_table(checked.samples, plateaus))
     print(describe_samples(samples))
     for shown in tables:
         print(f"\n{shown.caption}\n\n{text_of(shown)}")

@@ -9,7 +9,8 @@ figures. `model_file` reads and writes models.
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
 it from the clusters and the wrench; `pressure` evaluates regions of it.
 
-**How far can all this be trusted?** Validation. Samples: `data_check` points out what to look at,
+**How far can all this be trusted?** Validation. Samples: `checked` is the gate that judges them
+once for everything else, by three rule books: `data_check` points out what to look at,
 `plausibility` checks magnitude and sign, `noise` estimates the noise. Models: `information` shows
 what the trial determines. All estimates: `validation` tests them on unseen data, next to simple
 baselines. `suspension` measures the stiffness between limb and socket without a model,

@@ -17,7 +17,7 @@ wrench, or a slow drift; and without horizontal motion, two exchanged clusters u
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, compress, groupby
@@ -29,7 +29,7 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap
 from socket_testbed.identification.limb_motion import (
     AXES,
     NEGATED,
@@ -126,6 +126,8 @@ def check_data(
     leave_out: tuple[str, ...] = (),
     whole: bool = True,
     raw: tuple[DataFinding, ...] = (),
+    outliers: plausibility.Outliers | None = None,
+    prior_map: Callable[[ForceMapSettings], ForceMap] | None = None,
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
@@ -138,6 +140,9 @@ def check_data(
             sources are not compared over time.
         raw: What the measurements from which the samples were made show, see
             `trials.raw_check`; findings on units go before it, others after it.
+        outliers: Outliers of the samples outside the left-out channels; None to find them here.
+        prior_map: Returns the force map of the samples' clusters for settings of its prior; None
+            to make it here.
     """
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
@@ -148,7 +153,8 @@ def check_data(
     unclear = tuple(chain.from_iterable(channels for _, channels in units))
     leave_out = (*leave_out, *unclear)
     found += _known(raw, leave_out, unclear)
-    outliers = plausibility.find_outliers(samples, geometry, leave_out)
+    if outliers is None or unclear:
+        outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
     if POSE in unclear:
         nothing = np.full_like(samples.position, np.nan)
@@ -156,7 +162,7 @@ def check_data(
     if whole:
         in_doubt = LOAD in unclear
         courses = [*_time_series(_without_faulty_pose(counted, raw), geometry, in_doubt)]
-        found += courses or ([] if in_doubt else [*_disagreements(counted, geometry)])
+        found += courses or ([] if in_doubt else [*_disagreements(counted, geometry, prior_map)])
     stopped = {each.source for each in raw if STILL in each.fact}
     found += [
         each
@@ -639,17 +645,21 @@ def _time_series(
     return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 
-def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+def _disagreements(
+    samples: Samples,
+    geometry: SocketGeometry,
+    prior_map: Callable[[ForceMapSettings], ForceMap] | None = None,
+) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
     loaded = samples[samples.under_load(MIN_LOAD)]
     if not len(loaded):
         return
     compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]
-    noise = validation.measurement_errors(
-        samples, channel_noise(samples).local_forces, ForceMapSettings()
-    )
+    prior = ForceMapSettings()  # the data is judged alike, whatever the trial's settings
+    noise = validation.measurement_errors(samples, channel_noise(samples).local_forces, prior)
+    force_map = None if prior_map is None else prior_map(prior)
     worst = (MAX_INNOVATION, "", "")
-    pressures = validation.left_out_pressures(compared, geometry)
+    pressures = validation.left_out_pressures(compared, geometry, force_map)
     for error, (name, measured, expected, deviation) in zip(noise, pressures, strict=True):
         if np.isfinite(measured).any():
             own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]

@@ -280,16 +280,18 @@ def fit_contact_model(
 ) -> Fit:
     """Identify the contact model: rest positions, then stiffnesses and offsets.
 
-    Skips outliers and samples without a wrench or a limb position.
+    Skips samples without a wrench or a limb position. Values are believed: see
+    `checked.CheckedSamples.part` for samples that may hold outliers or another unit.
 
     Args:
-        samples: Samples of a loaded segment; poses are averaged as the settings say.
+        samples: Samples of a loaded segment, outliers as NaN; poses are averaged as the settings
+            say.
         geometry: The socket, which has the clusters of the samples.
         settings: Settings of the fit.
 
     Raises:
-        IdentificationError: From the steps of the fit, if the samples are too few, implausible or
-            unloaded, or if a program has no certified solution.
+        IdentificationError: From the steps of the fit, if the samples are too few or unloaded, or
+            if a program has no certified solution.
     """
     problem = Problem(build_objective(samples, geometry, settings))
     solver, tolerance = settings.solver, settings.solver_tolerance

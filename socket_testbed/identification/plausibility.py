@@ -173,6 +173,30 @@ def outlier_notes(samples: Samples, outliers: Outliers) -> Iterator[str]:
             yield f"{name} has {number} ({listed(parts, _MAX_NAMED)}): left out"
 
 
+def require_few_outliers(
+    samples: Samples, outliers: Outliers, rows: slice | BoolArray = slice(None)
+) -> None:
+    """Refuse samples of which too many hold an outlier.
+
+    Args:
+        samples: N samples as they were measured.
+        outliers: Their outliers.
+        rows: The rows to be used, as a slice or a mask of shape (N,).
+
+    Raises:
+        IdentificationError: If more than `MAX_OUTLIERS` of these samples hold an outlier.
+    """
+    among = outliers.rows[rows]
+    count = int(among.sum())
+    if count > MAX_OUTLIERS * len(among):
+        within = Outliers(outliers.position[rows], outliers.values[rows])
+        raise IdentificationError(
+            f"{count} of {len(among)} samples are outliers:"
+            f" {'; '.join(outlier_notes(samples[rows], within))}",
+            "check these channels, leave them out (--leave-out), or give another segment",
+        )
+
+
 def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
     """A note if the wrench looks negated; None without clear evidence.
 

@@ -179,34 +179,24 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
 def build_objective(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> Objective:
-    """Select, check and normalise the channels of a fit.
+    """Select and normalise the channels of a fit.
 
-    Skips outliers (see `plausibility`) and samples without a wrench or a limb position.
+    Skips samples without a wrench or a limb position. Values are believed: see
+    `checked.CheckedSamples.part` for samples that may hold outliers or another unit.
 
     Args:
-        samples: Samples of a loaded segment.
+        samples: Samples of a loaded segment, outliers as NaN.
         geometry: The socket, which has the clusters of the samples.
         settings: Settings of the fit.
 
     Raises:
-        IdentificationError: If the samples are too few, have too many outliers, hold no load or
-            have another unit, or if no channel is left.
+        IdentificationError: If the samples are too few or hold no load, or if no channel is left.
         ConfigurationError: If a channel to leave out, or a cluster, does not exist.
     """
     check_channels(settings.leave_out, samples.channels)
     counts = samples.counted(settings.leave_out)
     wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
     _usable_rows(samples, wrench_counts)
-    plausibility.require_units(samples, geometry, settings.leave_out)
-    outliers = plausibility.find_outliers(samples, geometry, settings.leave_out)
-    count = int(outliers.rows.sum())
-    if count > plausibility.MAX_OUTLIERS * len(samples):
-        raise IdentificationError(
-            f"{count} of {len(samples)} samples are outliers:"
-            f" {'; '.join(plausibility.outlier_notes(samples, outliers))}",
-            "check these channels, leave them out (--leave-out), or give another segment",
-        )
-    samples = outliers.taken_from(samples)
     noise = channel_noise(samples) if settings.weights == "noise" else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     samples = samples[_usable_rows(samples, wrench_counts)]

@@ -211,22 +211,22 @@ def judge_wrench(
 
 
 def left_out_pressures(
-    samples: Samples, geometry: SocketGeometry
+    samples: Samples, geometry: SocketGeometry, force_map: ForceMap | None = None
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
     """Measured and expected pressure of each cluster.
 
-    Expected is what the force map of the other clusters and the wrench says. It has the default
-    prior: the data is judged alike, whatever the settings.
+    Expected is what the force map of the other clusters and the wrench says.
 
     Args:
         samples: N samples.
         geometry: The socket, which has the clusters of the samples.
+        force_map: The map of these clusters; None for one with the default prior.
 
     Yields:
         Name of a cluster, its measured normal pressure (NaN unless trusted), the expected one and
         its standard deviation, shape (N,) each [Pa]; pressures are positive in compression.
     """
-    force_map = ForceMap(geometry, samples.clusters)
+    force_map = force_map or ForceMap(geometry, samples.clusters)
     for column, name in enumerate(samples.clusters):
         tile = geometry.clusters[name]
         measured = geometry.cluster_stress(name, samples.trusted_forces[:, column])[:, 0]
@@ -241,7 +241,9 @@ deviations by axis of {S}, NaN if unknown."""
 
 
 def field_estimators(
-    geometry: SocketGeometry, settings: ForceMapSettings
+    geometry: SocketGeometry,
+    settings: ForceMapSettings,
+    prior_map: ForceMap | None = None,
 ) -> dict[str, FieldEstimator]:
     """Estimators of the forces on the tiles that need no fit, by name.
 
@@ -251,8 +253,10 @@ def field_estimators(
     Args:
         geometry: The socket with its n tiles.
         settings: Prior of the force map.
+        prior_map: The force map of the samples' clusters with this prior; None to make it.
     """
     made = cache(partial(ForceMap, geometry, settings=settings))  # by the clusters
+    map_of = made if prior_map is None else lambda clusters: prior_map
 
     def interpolate(samples: Samples) -> tuple[FloatArray, FloatArray]:
         forces = inverse_distance(geometry, samples.clusters, samples.trusted_forces)
@@ -265,7 +269,7 @@ def field_estimators(
         return close_wrench(geometry, forces, samples.wrench, held), none
 
     def force_map(samples: Samples) -> tuple[FloatArray, FloatArray]:
-        found = made(samples.clusters).estimate(samples)
+        found = map_of(samples.clusters).estimate(samples)
         return found.forces, found.standard_deviations
 
     return {INVERSE_DISTANCE: interpolate, CLOSED: closed, FORCE_MAP: force_map}
@@ -434,6 +438,7 @@ def judge_samples(
     truth: FloatArray | None,
     name: str,
     notify: Callable[[str], None],
+    prior_map: ForceMap | None = None,
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
@@ -448,9 +453,11 @@ def judge_samples(
         truth: True forces on all tiles in {S}, shape (N, n, 3) [N]; None if unknown.
         name: Name of the trial.
         notify: Called with a line for each variant that cannot be fitted.
+        prior_map: The force map of the samples' clusters with the prior of the settings; None to
+            make it.
     """
     first, second = split(samples, settings.plateau.least_force)
-    found = judge_map(samples, geometry, settings, name)
+    found = judge_map(samples, geometry, settings, name, prior_map)
     models = fit_variants(samples[first], geometry, settings.identification, notify)
     window = settings.identification.pose_smoothing
     seen, unseen = (smooth_poses(samples[half], window) for half in (first, second))
@@ -461,7 +468,7 @@ def judge_samples(
     if truth is not None:
         samples = smooth_poses(samples, window)
         rows = second[evenly(len(second), MAX_SAMPLES)]
-        estimators = field_estimators(geometry, settings.force_map) | {
+        estimators = field_estimators(geometry, settings.force_map, prior_map) | {
             variant: partial(_forces_of, model) for variant, model in models.items()
         }
         found += judge_tiles(samples[rows], geometry, truth[rows], estimators, name)
@@ -469,7 +476,11 @@ def judge_samples(
 
 
 def judge_map(
-    samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str
+    samples: Samples,
+    geometry: SocketGeometry,
+    settings: EstimatorSettings,
+    name: str,
+    prior_map: ForceMap | None = None,
 ) -> list[Judgement]:
     """Judge the estimators that need no fit on left-out clusters.
 
@@ -478,11 +489,13 @@ def judge_map(
         geometry: The socket, which has the clusters of the samples.
         settings: Settings of the force map and of the least load.
         name: Name of the trial.
+        prior_map: The force map of the samples' clusters with the prior of the settings; None to
+            make it.
     """
     loaded = samples[samples.under_load(settings.plateau.least_force)]
     samples = loaded[evenly(len(loaded), MAX_SAMPLES)]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
-    estimators = field_estimators(geometry, settings.force_map)
+    estimators = field_estimators(geometry, settings.force_map, prior_map)
     return [*judge_clusters(samples, geometry, estimators, noise, name)]
 
 

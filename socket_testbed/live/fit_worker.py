@@ -18,8 +18,9 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.files import end_with_parent
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import LEAST_CHECKED, check_data
+from socket_testbed.identification.data_check import LEAST_CHECKED
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.problem import MIN_SAMPLES, group_sizes
 from socket_testbed.samples import Samples
@@ -173,12 +174,12 @@ def fit_samples(
     """
     # In live use, a centred window would lag, and the wrench is measured anyway.
     settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())
+    checked = CheckedSamples(samples, geometry, settings.leave_out, whole=False)
     if steady is None:
-        return Refit(_plausible_fit(samples, geometry, settings))
+        return Refit(_plausible_fit(checked.part(), geometry, settings))
     if len(samples) and not samples.wrench.any():
         plausibility.require_load(samples, np.ones(6, dtype=bool))
-    outliers = plausibility.find_outliers(samples, geometry, settings.leave_out)
-    cleaned = outliers.taken_from(samples)
+    cleaned = checked.samples
     complete = cleaned.has_pose_and_wrench
     for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
         used = np.zeros(len(samples), dtype=bool)
@@ -191,7 +192,7 @@ def fit_samples(
             continue
         if samples.stamps[used][-1] <= steady.after:
             return None  # the other plateaus are older
-        fit = _plausible_fit(samples[used], geometry, settings)
+        fit = _plausible_fit(checked.part(used), geometry, settings)
         contest = None
         if steady.rival is not None:
             contest = _judge(steady.rival, fit.model, cleaned[newest], settings)
@@ -238,5 +239,5 @@ def check_samples(
     """
     if len(samples) < LEAST_CHECKED:
         return ()
-    found = check_data(samples, geometry, leave_out=leave_out, whole=False)
-    return tuple(map(str, found))
+    checked = CheckedSamples(samples, geometry, leave_out, whole=False)
+    return tuple(map(str, checked.findings))

@@ -14,6 +14,8 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import first_of
+from socket_testbed.figures.scale import GREY, POWER
+from socket_testbed.figures.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.geometry.regions import (
     SECTOR_EDGES,
     Region,
@@ -38,7 +40,6 @@ from socket_testbed.identification.pressure import (
     greyness,
     read_column,
 )
-from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.trials.trial import Trial
 
@@ -54,9 +55,6 @@ _BAR_TITLES = (
 _MAX_MARKS = 20  # per event label
 _UNIT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
-POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
-FIXED_ENDS = (50.0, 100.0, 200.0, 400.0)  # [kPa]; of the colour scales of pressures
-GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
 
 _NOTHING: Mapping[str, Quantity] = {}
 
@@ -176,17 +174,6 @@ def shear_arrows(geometry: SocketGeometry, forces: FloatArray) -> FloatArray:
 def arrow_map(geometry: SocketGeometry) -> FloatArray:
     """From forces on the n tiles in {S} to `shear_arrows`, shape (n, 2, 3) [1/m^2]."""
     return np.asarray(unrolled_tiles(geometry).directions / geometry.areas[:, None, None])
-
-
-def fixed_end(highest: float) -> float:
-    """End of the fixed colour scale of pressures [kPa]: the first of `FIXED_ENDS` that suffices.
-
-    Equal pressures have equal colours in all pictures, unless one is above 50 kPa.
-
-    Args:
-        highest: The highest pressure of a picture [kPa].
-    """
-    return next((end for end in FIXED_ENDS if end >= highest), highest)
 
 
 def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:

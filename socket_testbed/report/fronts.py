@@ -13,6 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.figures.style import (
+    LINE_STYLES,
+    PAGE_LINES,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+)
 from socket_testbed.identification.pareto import (
     FIGURES,
     KNEE,
@@ -24,14 +32,6 @@ from socket_testbed.identification.pareto import (
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import ReportFigure, Section
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import (
-    LINE_STYLES,
-    PAGE_LINES,
-    FigureStyle,
-    in_style,
-    lay_out,
-    style_axes,
-)
 from socket_testbed.tables import Table
 
 _MARKS: dict[str, dict[str, Any]] = {

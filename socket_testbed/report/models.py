@@ -10,12 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.fit import QUOTED, REGRESSION, ChannelErrors, summarise_errors
-from socket_testbed.identification.paper import THEIRS, beside_published
-from socket_testbed.pages.document import numbers
-from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.results import Candidate, Results
-from socket_testbed.report.style import (
+from socket_testbed.figures.style import (
     LINE_STYLES,
     MEASURED_STYLE,
     SEGMENT_STYLE,
@@ -28,7 +23,12 @@ from socket_testbed.report.style import (
     thin,
     wrap,
 )
-from socket_testbed.report.tiles import tile_map_figure
+from socket_testbed.figures.tiles import tile_map_figure
+from socket_testbed.identification.fit import QUOTED, REGRESSION, ChannelErrors, summarise_errors
+from socket_testbed.identification.paper import THEIRS, beside_published
+from socket_testbed.pages.document import numbers
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.results import Candidate, Results
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit, mean_and_sigma
 from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit

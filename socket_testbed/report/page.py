@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 from plotly.offline import get_plotlyjs
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.figures.style import PAGE_LINES, FigureStyle, save_figure, thin
 from socket_testbed.files import write_text
 from socket_testbed.geometry.regions import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
-from socket_testbed.report.style import PAGE_LINES, FigureStyle, save_figure, thin
 from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
 
 if TYPE_CHECKING:

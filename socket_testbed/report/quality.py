@@ -15,13 +15,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, gaps
-from socket_testbed.files import PARAMETERS_FILE
-from socket_testbed.identification.fit import summarise_errors
-from socket_testbed.identification.information import share_warning
-from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
-from socket_testbed.report.results import Results
-from socket_testbed.report.style import (
+from socket_testbed.figures.style import (
     BLUE,
     THINNED,
     VERMILION,
@@ -31,6 +25,12 @@ from socket_testbed.report.style import (
     style_axes,
     thin,
 )
+from socket_testbed.files import PARAMETERS_FILE
+from socket_testbed.identification.fit import summarise_errors
+from socket_testbed.identification.information import share_warning
+from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
+from socket_testbed.report.results import Results
 from socket_testbed.samples import Status, force_magnitude
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.description import (
@@ -69,7 +69,7 @@ def section(results: Results) -> Section:
             Heading("Noise"),
             "From the third differences of the trial, without outliers and steps. Motion from"
             " sample to sample, such as a person's sway, counts as noise.",
-            noise_table(results.samples),
+            noise_table(results.samples.clusters, results.noise),
         ],
     )
 

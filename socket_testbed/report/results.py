@@ -22,7 +22,7 @@ from socket_testbed.identification.fit import (
     predictions,
 )
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.noise import ChannelNoise, smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.pressure import PressureOutputs
 from socket_testbed.identification.validation import Judgement, judge_samples
@@ -86,6 +86,7 @@ class Results:
     Attributes:
         trial: The trial.
         samples: All N samples of the trial; outliers are NaN.
+        noise: Noise of every channel over these samples.
         segment: The part used for the fits; with `frames` only its first samples.
         specification: The segment as requested, such as `plateau`.
         settings: The settings used; their variant is fitted in addition to the paper's.
@@ -106,6 +107,7 @@ class Results:
 
     trial: Trial
     samples: Samples
+    noise: ChannelNoise
     segment: Segment
     specification: str
     settings: EstimatorSettings
@@ -181,11 +183,12 @@ def compute_results(
         progress: Called with the number of stages done and their total.
     """
     identification, leave_out = settings.identification, settings.identification.leave_out
-    samples = trial.sound(leave_out)
+    checked = trial.checked(leave_out)
+    samples = checked.samples
     whole = trial.select(specification, settings)
     segment = first_frames(whole, samples, identification.frames)
     notes: list[str] = []
-    chosen = samples[segment.rows]
+    chosen = checked.part(segment.rows)
     progress(1, _STAGES)
     candidates = []
     for variant in VARIANTS:
@@ -208,7 +211,13 @@ def compute_results(
     truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
     try:
         validation = judge_samples(
-            samples.without(leave_out), trial.geometry, settings, truth, trial.name, notes.append
+            checked.counted,
+            trial.geometry,
+            settings,
+            truth,
+            trial.name,
+            notes.append,
+            checked.prior_map(settings.force_map),
         )
     except IdentificationError as error:
         no_validation = str(error)
@@ -221,6 +230,7 @@ def compute_results(
     return Results(
         trial=trial,
         samples=samples,
+        noise=checked.noise,
         segment=segment,
         specification=specification,
         settings=settings,
@@ -229,7 +239,7 @@ def compute_results(
         no_fronts=no_fronts,
         plateaus=tuple(trial.plateaus(settings)),
         bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
-        data=trial.problems(leave_out),
+        data=checked.findings,
         motion=information.measure_motion(chosen, trial.geometry, identification.pose_smoothing),
         validation=tuple(validation),
         no_validation=no_validation,
@@ -242,7 +252,7 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
     """A model over the trial and over the samples of the segment, as in `st.evaluate`."""
     model, settings = source.model, source.settings
     window, leave_out = settings.pose_smoothing, settings.leave_out
-    samples = trial.sound(leave_out)
+    samples = trial.checked(leave_out).samples
     chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
     inside = _rows_of(segment, samples)

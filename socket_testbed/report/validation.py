@@ -10,11 +10,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from socket_testbed.figures.style import LINE_STYLES, FigureStyle, in_style, lay_out, style_axes
 from socket_testbed.identification import validation
 from socket_testbed.identification.information import MIN_RATIO
 from socket_testbed.report.page import Heading, ReportFigure, Section
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import LINE_STYLES, FigureStyle, in_style, lay_out, style_axes
 from socket_testbed.tables import Table
 
 _COLOURS = {

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
+from socket_testbed.figures.style import FigureStyle
 from socket_testbed.files import PAGES, atomic_output, check_outputs, check_suffix, refuse_existing
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import FigureStyle
 from socket_testbed.tables import write_table
 
 # In page order, by the title of their fold; the provenance, which needs the command, comes last.

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.arrays import GAP, StatusArray, gaps, runs, usual_period
-from socket_testbed.identification.noise import channel_noise
+from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.samples import WITHOUT_VALUE, WRENCH_CHANNELS, Samples, Status, mean_and_sigma
 from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
@@ -119,10 +119,14 @@ def loads_table(samples: Samples, parts: Iterable[Segment]) -> Table:
     return Table("plateaus", "Load of parts of the trial", frame.rename_axis("part"), formats)
 
 
-def noise_table(samples: Samples) -> Table:
-    """Noise along x, y and z of each group of channels, with the unit in the group's name."""
-    noise = channel_noise(samples)
-    local = zip(samples.clusters, noise.local_forces, strict=True)
+def noise_table(clusters: tuple[str, ...], noise: ChannelNoise) -> Table:
+    """Noise along x, y and z of each group of channels, with the unit in the group's name.
+
+    Args:
+        clusters: Names of the c clusters.
+        noise: Noise of every channel.
+    """
+    local = zip(clusters, noise.local_forces, strict=True)
     groups = {
         "moment [N m]": noise.wrench[:3],
         "force [N]": noise.wrench[3:],

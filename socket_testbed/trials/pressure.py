@@ -16,7 +16,6 @@ from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.plausibility import require_units
 from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -108,12 +107,11 @@ def mapped_trial(
     """
     geometry = geometry or trial.geometry
     left_out = settings.identification.leave_out
-    require_units(trial.samples(), geometry, left_out)
-    samples = trial.sound(left_out).without(left_out)
+    checked = trial.checked(left_out)
+    force_map, samples = checked.force_map(settings.force_map), checked.counted
     seen = np.asarray(np.isfinite(samples.trusted_forces[:, :, 2]).any(axis=0))
     clusters = {name: geometry.clusters[name] for name in compress(samples.clusters, seen)}
     places = all_regions(replace(geometry, clusters=clusters), trial.metadata.side)
-    force_map = ForceMap(geometry, samples.clusters, settings.force_map, samples)
     return MappedTrial(trial, geometry, places, force_map, samples)
 
 

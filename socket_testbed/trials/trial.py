@@ -25,7 +25,6 @@ from socket_testbed.files import (
     sync,
 )
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, named_channels
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.tables import split_unit, stacked
@@ -47,6 +46,7 @@ from socket_testbed.wire.messages import Reader
 if TYPE_CHECKING:
     import pandas as pd
 
+    from socket_testbed.identification.checked import CheckedSamples, Evidence
     from socket_testbed.identification.data_check import DataFinding
 
 _CHECKED = 20  # [messages]; at the start of a trial
@@ -60,17 +60,15 @@ class _Kept:
     Attributes:
         samples: The samples; None before the first reading.
         fingerprint: The fingerprint; empty before the first reading.
-        sound: The samples without outliers, by left-out channels.
+        checked: The judged samples, by left-out channels.
         readings: The problems that the measurements show.
-        problems: The problems in the data, by left-out channels.
         notes: The notes as keys, in their order, without duplicates.
     """
 
     samples: Samples | None = None
     fingerprint: str = ""
-    sound: dict[tuple[str, ...], Samples] = field(default_factory=dict)
+    checked: dict[tuple[str, ...], CheckedSamples] = field(default_factory=dict)
     readings: tuple[DataFinding, ...] = ()
-    problems: dict[tuple[str, ...], tuple[DataFinding, ...]] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
 
 
@@ -238,19 +236,36 @@ class Trial:
             status=measured.status[:, kept],
         )
 
+    def checked(self, leave_out: str | Sequence[str] | None = None) -> CheckedSamples:
+        """The samples, judged once: outliers, findings, noise and force maps; cached.
+
+        Args:
+            leave_out: Channels that are not judged and keep their values, such as `distal.Fz`, or
+                `distal` for all of a cluster; None stands for those of the trial's settings.
+        """
+        from socket_testbed.identification.checked import CheckedSamples  # not needed by a replay
+
+        if leave_out is None:
+            leave_out = self.estimator.identification.leave_out
+        left, kept = self.channels(leave_out), self._kept.checked
+        if left not in kept:
+            samples = self.samples()
+            kept[left] = CheckedSamples(samples, self.geometry, left, evidence=self._evidence)
+        return kept[left]
+
+    def _evidence(self) -> Evidence:
+        """What is known of the trial beside its samples."""
+        from socket_testbed.identification.checked import Evidence  # not needed by a replay
+
+        return Evidence(self.metadata.mass, (*self._kept.readings, *self._reports))
+
     def sound(self, leave_out: str | Sequence[str] = ()) -> Samples:
         """The samples with outliers as NaN, found in channels that are not left out; cached.
 
         Left-out channels, such as `distal.Fz` or all of `distal`, are searched for no outliers, and
         keep their values.
         """
-        left = self.channels(leave_out)
-        kept = self._kept.sound
-        if left not in kept:
-            samples = self.samples()
-            outliers = find_outliers(samples, self.geometry, left)
-            kept[left] = outliers.taken_from(samples)
-        return kept[left]
+        return self.checked(leave_out).samples
 
     def channels(self, names: str | Sequence[str]) -> tuple[str, ...]:
         """The channels of names such as `Mz`, `distal.Fx`, or `distal` for all three of a cluster.
@@ -268,17 +283,7 @@ class Trial:
         Left-out channels, such as `distal.Fz`, are not checked; None stands for those of the
         trial's settings.
         """
-        from socket_testbed.identification.data_check import check_data  # not needed by a replay
-
-        stored = self.estimator.identification.leave_out
-        left = stored if leave_out is None else self.channels(leave_out)
-        kept = self._kept.problems
-        if left not in kept:
-            mass = self.metadata.mass
-            samples = self.samples()
-            raw = (*self._kept.readings, *self._reports)
-            kept[left] = check_data(samples, self.geometry, mass, left, raw=raw)
-        return kept[left]
+        return self.checked(leave_out).findings
 
     @cached_property
     def _reports(self) -> tuple[DataFinding, ...]:

@@ -21,10 +21,10 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.figures.pressure import force_map_figure
+from socket_testbed.figures.style import COLUMN, DEFAULT_STYLE, FigureStyle
+from socket_testbed.figures.tiles import draw_wall, socket_figure
 from socket_testbed.report import quality
-from socket_testbed.report.pressure import force_map_figure
-from socket_testbed.report.style import COLUMN, DEFAULT_STYLE, FigureStyle
-from socket_testbed.report.tiles import draw_wall, socket_figure
 from socket_testbed.report.write import SECTIONS
 
 YELLOW, VIOLET = (0.993, 0.906, 0.144), (0.267, 0.005, 0.329)  # the ends of viridis

@@ -13,11 +13,9 @@ from support import results_by_hand, scene
 from support.pages import Page
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.pressure import Quantity
-from socket_testbed.report import fronts, tiles
-from socket_testbed.report.page import ReportFigure, line_chart, write_socket_page
-from socket_testbed.report.pressure import draw_regions, group_regions
-from socket_testbed.report.style import (
+from socket_testbed.figures import tiles
+from socket_testbed.figures.pressure import draw_regions, group_regions
+from socket_testbed.figures.style import (
     COLUMN,
     DEFAULT_STYLE,
     FigureStyle,
@@ -27,6 +25,9 @@ from socket_testbed.report.style import (
     thin_band,
     wrap,
 )
+from socket_testbed.identification.pressure import Quantity
+from socket_testbed.report import fronts
+from socket_testbed.report.page import ReportFigure, line_chart, write_socket_page
 from socket_testbed.trials.segment import Segment
 
 # --- thinned lines

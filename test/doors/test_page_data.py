@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from support import scene
 
+from socket_testbed.figures.wall import patches
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.pages import document
 from socket_testbed.pages.player import Player
-from socket_testbed.pages.wall import patches
 
 TILE = {name: number for number, name in enumerate(scene.TILES)}
 

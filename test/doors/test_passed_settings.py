@@ -59,7 +59,9 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
         stage.seen |= {"traced": len(samples), "thetas": [*thetas], "traced with": own.smoothness}
         return {}
 
-    def validated(samples: Samples, geometry: Any, own: Any, truth: Any, name: str, note: Any):
+    def validated(
+        samples: Samples, geometry: Any, own: Any, truth: Any, name: str, note: Any, prior_map: Any
+    ):
         missing = np.flatnonzero(np.isnan(samples.wrench).all(axis=0))
         stage.seen |= {"validated": len(samples), "validated without": missing.tolist()}
         stage.seen |= {"validated above": own.plateau.least_force, "truth": truth is not None}
@@ -119,7 +121,6 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
             "validated without": [2],
             "map without": WITHOUT,
             "selected without": WITHOUT,
-            "checked without": WITHOUT,
             "sound without": WITHOUT,
         },
     ),
@@ -147,7 +148,7 @@ def test_a_report_passes_its_settings_on(case: str, stage: Stage) -> None:
     changed, expected = REPORT[case]
     usual = computed(stage, settings_of())
     assert (usual["pressure over"], usual["course with"]) == (SPAN, [8 + 5])
-    assert (usual["validated"], usual["truth"], usual["checked without"]) == (96, True, ())
+    assert (usual["validated"], usual["truth"], usual["sound without"]) == (96, True, ())
     assert changes(usual, computed(stage, settings_of(**changed))) == expected
 
 
@@ -254,11 +255,13 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
         calls.append(("tiles", samples.tolist(), truth.tolist(), [*estimators], name))
         return ["tiles"]
 
-    def fields(geometry: Any, own: Any) -> dict[str, Any]:
+    def fields(geometry: Any, own: Any, prior_map: Any) -> dict[str, Any]:
         calls.append(("prior", own.length))
         return {"map": None}
 
-    def mapped(samples: Any, geometry: Any, own: EstimatorSettings, name: str) -> list[str]:
+    def mapped(
+        samples: Any, geometry: Any, own: EstimatorSettings, name: str, prior_map: Any
+    ) -> list[str]:
         calls.append(("clusters", own.force_map.length, own.plateau.least_force, name))
         return ["clusters"]
 
@@ -334,7 +337,7 @@ def test_clusters_are_judged_under_load(least_force: float, stage: Stage) -> Non
         return [name]
 
     stage.patch.setattr(validation, "judge_clusters", judge)
-    stage.patch.setattr(validation, "field_estimators", lambda geometry, own: own.length)
+    stage.patch.setattr(validation, "field_estimators", lambda geometry, own, given: own.length)
     stage.patch.setattr(validation, "measurement_errors", lambda samples, noise, own: own.length)
     own = settings_of(least_force=least_force, length=0.05)
     samples = stage.trial.samples()

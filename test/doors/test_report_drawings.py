@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from support import scene
 
+from socket_testbed.figures import pressure, tiles
+from socket_testbed.figures.style import DEFAULT_STYLE
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import Judgement
-from socket_testbed.report import pressure, quality, tiles, validation
-from socket_testbed.report.style import DEFAULT_STYLE
+from socket_testbed.report import quality, validation
 from socket_testbed.trials.segment import Segment
 
 PLATEAU = Segment("plateau", 1.0, 9.0, slice(4, 37))

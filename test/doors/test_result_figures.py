@@ -28,7 +28,7 @@ from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.calibrate import BenchCalibration, CrossValidation, Groups
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.report.style import COLUMN
+from socket_testbed.figures.style import COLUMN
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support import scene
 
-from socket_testbed.pages import wall
-from socket_testbed.pages.wall import Patch
+from socket_testbed.figures import wall
+from socket_testbed.figures.wall import Patch
 
 
 @pytest.fixture(scope="module")

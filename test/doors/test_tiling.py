@@ -26,10 +26,10 @@ from support.pages import Page
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError, ScanError
+from socket_testbed.figures.tiles import socket_figure
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import SocketAxis
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.report.tiles import socket_figure
 from socket_testbed.socket_design.clusters import ClusterPlace, LaidCluster
 from socket_testbed.socket_design.design import (
     Placement,

@@ -11,6 +11,7 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import plausibility
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.samples import Status
@@ -212,8 +213,8 @@ def results_of_hold(opened) -> tuple[np.ndarray, float]:
 def test_spikes_spoil_neither_fit_nor_pressure(sound, results_of_hold, places, force) -> None:
     """They do not hide each other."""
     errors, pressure = results_of_hold
+    rows = st.open_trial(sound["protocol"]).select("hold").rows
     spoilt = st.open_trial(sound["protocol"])
-    rows = spoilt.select("hold", spoilt.estimator).rows
     spoilt.samples().wrench[[rows.start + place for place in places], 5] = force
     assert any("single values" in finding.source for finding in spoilt.problems())
     found = st.fit(spoilt, segment="hold").to_dataframe()["RMSE"]
@@ -253,10 +254,10 @@ TENSION = np.array([0.0, 0.0, 150.0])  # [N], of an offset
     ],
 )
 def test_another_unit_is_refused(array, column, names) -> None:
-    geometry, _, samples, settings = make_case(3)
+    geometry, _, samples, _ = make_case(3)
     getattr(samples, array)[column] *= 1000.0
     with refused(IdentificationError, *names):
-        fit_contact_model(samples, geometry, settings)
+        CheckedSamples(samples, geometry).part()
 
 
 @pytest.mark.parametrize("size", [1e-4, 0.0], ids=["tiny", "zero"])
@@ -288,7 +289,7 @@ def test_an_outlier_is_left_out_and_noted(array, place, value, name) -> None:
     outliers = plausibility.find_outliers(samples, geometry)
     (note,) = plausibility.outlier_notes(samples, outliers)
     assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
-    found = fit_contact_model(samples, geometry, settings)
+    found = fit_contact_model(CheckedSamples(samples, geometry).part(), geometry, settings)
     assert max(error.rmse for error in found.errors) < 100.0
     assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
 
@@ -297,9 +298,10 @@ def test_many_outliers_are_refused() -> None:
     geometry, _, samples, settings = make_case(4)
     samples.wrench[::8, 3] = 1e9
     with refused(IdentificationError, "5 of 40 samples are outliers: Fx has 5"):
-        fit_contact_model(samples, geometry, settings)
+        CheckedSamples(samples, geometry).part()
     settings = replace(settings, leave_out=("Fx",))  # then it drops no sample
-    assert fit_contact_model(samples, geometry, settings).samples == len(samples)
+    sound = CheckedSamples(samples, geometry, settings.leave_out).part()
+    assert fit_contact_model(sound, geometry, settings).samples == len(samples)
 
 
 GEOMETRY = random_socket(np.random.default_rng(3))

@@ -13,6 +13,7 @@ from support import scene
 
 from socket_testbed.drivers import OK, WARN
 from socket_testbed.errors import IdentificationError
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.live import fit_worker
 from socket_testbed.live.estimator import OnlineEstimator, cluster_forces
 from socket_testbed.live.fit_worker import Refit, Steady
@@ -230,6 +231,16 @@ def samples(count: int) -> Samples:
     return Samples(stamps, rest, rest, wrench, clusters, forces, status)
 
 
+def measured(checked: CheckedSamples) -> Samples:
+    """Stands for the samples without outliers."""
+    return checked.measured
+
+
+def part(checked: CheckedSamples, rows: Any = slice(None)) -> Samples:
+    """Stands for samples that nothing refuses."""
+    return checked.measured[rows]
+
+
 class Fitted:
     """Stands for the fit in the worker: what it was given."""
 
@@ -240,8 +251,8 @@ class Fitted:
         monkeypatch.setattr(fit_worker, "fit_contact_model", self.fit)
         monkeypatch.setattr(fit_worker, "_judge", self.judge)
         monkeypatch.setattr(fit_worker.plausibility, "sign_note", lambda *given: None)
-        outliers = SimpleNamespace(taken_from=lambda own: own)
-        monkeypatch.setattr(fit_worker.plausibility, "find_outliers", lambda *given: outliers)
+        monkeypatch.setattr(fit_worker.CheckedSamples, "samples", property(measured))
+        monkeypatch.setattr(fit_worker.CheckedSamples, "part", part)
         found = [SimpleNamespace(rows=slice(a, b), cause=cause) for a, b, cause in stretches]
         monkeypatch.setattr(fit_worker, "find_newest_plateaus", lambda *given: iter(found))
 

@@ -14,9 +14,9 @@ from matplotlib.text import Text
 from support import CHECKOUT
 from support.problems import random_socket, ring_socket
 
-from socket_testbed.report import style
+from socket_testbed.figures import style
+from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.report.results import Results
-from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.report.write import SECTIONS
 
 NASTY, UNIT = "a$_b <i>", "pressure [kPa]"

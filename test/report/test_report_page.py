@@ -18,9 +18,9 @@ from support.pages import LABELS, MADE, NASTY, Page
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
+from socket_testbed.figures import style
 from socket_testbed.identification.fit import evaluate, summarise_errors
 from socket_testbed.identification.pressure import TITLES, interval_end
-from socket_testbed.report import style
 from socket_testbed.report.results import Candidate, Results
 from socket_testbed.report.write import files_folder, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS

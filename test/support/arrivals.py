@@ -12,6 +12,7 @@ import pytest
 
 from socket_testbed.__main__ import VERBS, run
 from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.segment import Segment, select_segment
 from socket_testbed.trials.trial import Trial
@@ -85,9 +86,9 @@ class Stage:
             self.seen["checked without"] = leave_out
             return ()
 
-        def sound(trial: Trial, leave_out: tuple[str, ...] = ()) -> Any:
+        def checked(trial: Trial, leave_out: tuple[str, ...] = ()) -> CheckedSamples:
             self.seen["sound without"] = leave_out
-            return trial.samples()
+            return CheckedSamples(trial.samples(), trial.geometry, leave_out)
 
         def select(trial: Trial, specification: str, settings: Any) -> Segment:
             self.seen["part"] = specification
@@ -96,7 +97,7 @@ class Stage:
             chosen = specification if specification[0].isdigit() else "all"
             return select_segment(trial.samples(), chosen, settings.plateau)
 
-        for method in (problems, sound, select):
+        for method in (problems, checked, select):
             self.patch.setattr(Trial, method.__name__, method)
 
 

@@ -283,7 +283,7 @@ class HandMap:
 
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the product map forces by hand, wherever it makes a map of a trial or of live data."""
-    for place in ("trials.pressure", "live.estimator"):
+    for place in ("identification.checked", "live.estimator"):
         monkeypatch.setattr(f"socket_testbed.{place}.ForceMap", HandMap)
 
 

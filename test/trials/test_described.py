@@ -12,6 +12,7 @@ from support.wording import refused
 
 from socket_testbed.calibration.drift import Drift
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.identification.noise import channel_noise
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials import description, reprocess
@@ -115,7 +116,7 @@ def test_noise_is_in_its_row_s_unit() -> None:
     own = Samples(
         stamps, noise[:, 6:9], noise[:, 9:12], noise[:, :6], ("a",), noise[:, None, 12:], status
     )
-    table = description.noise_table(own)
+    table = description.noise_table(own.clusters, channel_noise(own))
     expected = {
         "moment [N m]": (0.01, 0.02, 0.03),
         "force [N]": (0.1, 0.2, 0.3),

@@ -18,11 +18,8 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.socket import Side, SocketGeometry
-from socket_testbed.identification.pressure import greyness
-from socket_testbed.pages.document import GREY, POWER, fixed_end
-from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
-from socket_testbed.report.style import (
+from socket_testbed.figures.scale import GREY, POWER, fixed_end
+from socket_testbed.figures.style import (
     DEFAULT_STYLE,
     DIVERGING,
     SCALE,
@@ -34,6 +31,9 @@ from socket_testbed.report.style import (
     lay_out,
     wrap,
 )
+from socket_testbed.figures.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
+from socket_testbed.geometry.socket import Side, SocketGeometry
+from socket_testbed.identification.pressure import greyness
 
 _TILE = "#A6CBE3"
 _EDGE = "#2B5C7D"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.problems import ring_socket
 
-from socket_testbed.pages.wall import Patch, patches, unrolled_tiles
+from socket_testbed.figures.wall import Patch, patches, unrolled_tiles
 
 GEOMETRY = ring_socket()
 

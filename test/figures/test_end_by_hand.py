@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import scene
 
-from socket_testbed.pages.wall import Patch, patches
+from socket_testbed.figures.wall import Patch, patches
 
 
 def end_with_a_high(tile: str) -> Patch:

@@ -1,0 +1,1 @@
+"""Figures of values: a print style, the unrolled wall, maps of tiles, regions over time."""
