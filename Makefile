@@ -47,8 +47,8 @@ lint: setup
 		socket_testbed/pages/static test/support
 
 # The reference of the Python API and of all types that it takes or returns, from the docstrings.
-DOCUMENTED := api arrays calibration errors geometry identification pages.server report.results \
-	report.style samples settings simulation.limb socket_design tables trials
+DOCUMENTED := api arrays calibration errors geometry identification pages.server report.results results \
+	figures.style samples settings simulation.limb socket_design tables trials
 docs: setup
 	$(BIN)/pdoc --docformat google --output-directory build/docs $(addprefix socket_testbed.,$(DOCUMENTED))
 	@echo "open build/docs/socket_testbed/api.html, or build/docs/index.html for all modules"

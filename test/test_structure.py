@@ -18,6 +18,7 @@ LAYERS = (
     ("drivers", "calibration", "identification", "socket_design", "wire"),
     ("trials",),
     ("figures",),
+    ("results",),
     ("pages",),
     ("batch", "simulation", "report"),
     ("live",),

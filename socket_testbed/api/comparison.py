@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed.api.pressure import Rows, TrialPressure, pressure
-from socket_testbed.api.result import Result, records
+from socket_testbed.api.pressure import pressure
 from socket_testbed.api.trials import (
-    PathLike,
     Progress,
     as_trial,
     require_different,
@@ -44,6 +42,8 @@ from socket_testbed.identification.differences import (
     is_clear,
 )
 from socket_testbed.identification.pressure import THRESHOLD, Quantity, decimals_of
+from socket_testbed.results.pressure import Rows, TrialPressure
+from socket_testbed.results.result import PathLike, Result, records
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE

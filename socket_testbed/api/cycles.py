@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, as_trial
+from socket_testbed.api.trials import as_trial
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.documents import described, texts_of
 from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.results.result import PathLike, Result
 from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials.events import PLACED, cycle_spans
 from socket_testbed.trials.segment import Segment, Span

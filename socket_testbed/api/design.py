@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, Progress, as_path, started
+from socket_testbed.api.trials import Progress, as_path, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.documents import (
@@ -33,6 +32,7 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import SOCKET_FILE, check_suffix, packaged, refuse_existing
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import AREA_LIMITS, read_socket, write_socket
+from socket_testbed.results.result import PathLike, Result
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

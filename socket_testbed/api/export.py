@@ -11,11 +11,12 @@ from socket_testbed.api.cycles import cycles_by
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import PathLike, as_trial
+from socket_testbed.api.trials import as_trial
 from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import TABLES, check_suffix
 from socket_testbed.identification import information
+from socket_testbed.results.result import PathLike
 from socket_testbed.samples import moments_about
 from socket_testbed.tables import write_table
 from socket_testbed.trials.export import (

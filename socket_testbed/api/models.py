@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_trial, note_problems, settings_of
+from socket_testbed.api.trials import as_trial, note_problems, settings_of
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import TABLES, write_text
@@ -36,6 +34,8 @@ from socket_testbed.identification.model_file import (
 from socket_testbed.identification.model_file import read_model as _read_model
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.validation import judge_unseen_half
+from socket_testbed.results.pressure import TrialPressure
+from socket_testbed.results.result import PathLike, Result, origin
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
 from socket_testbed.trials.segment import Segment, Span, first_frames

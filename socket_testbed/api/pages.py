@@ -17,6 +17,7 @@ from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
+from socket_testbed.results.result import PathLike
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.segment import Segment, Span, specification_of
@@ -48,13 +49,13 @@ _MAPS = (
 
 
 def write_report(
-    trial: Trial | trials.PathLike,
-    page: trials.PathLike,
+    trial: Trial | PathLike,
+    page: PathLike,
     segment: str | Span | Segment = "plateau",
     *,
     model: Model | None = None,
     thetas: int = 101,
-    params: trials.PathLike | None = None,
+    params: PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
     figures: bool = False,
@@ -128,7 +129,7 @@ def write_report(
 
 
 def write_comparison(
-    found: Comparison, page: trials.PathLike, command: str = "socket_testbed.write_comparison"
+    found: Comparison, page: PathLike, command: str = "socket_testbed.write_comparison"
 ) -> None:
     """Write a comparison as one page that opens offline; an existing one is replaced.
 
@@ -241,7 +242,7 @@ def _tables(found: Comparison, part: str) -> list[Table]:
 
 
 def view(
-    trial: Trial | trials.PathLike,
+    trial: Trial | PathLike,
     model: Model | None = None,
     *,
     port: int = 0,

@@ -10,13 +10,13 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.models import fit, prepare_fit
-from socket_testbed.api.result import Result, origin, records
-from socket_testbed.api.trials import PathLike, Progress, as_trial, started
+from socket_testbed.api.trials import Progress, as_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_whole
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.paper import PUBLISHED_FRAMES, THEIRS, beside_published
 from socket_testbed.identification.pareto import Front, front_document, front_table, pareto_front
+from socket_testbed.results.result import PathLike, Result, origin, records
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     IdentificationSettings,

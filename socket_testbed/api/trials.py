@@ -31,6 +31,7 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import Side, read_socket
 from socket_testbed.identification.data_check import DataFinding
+from socket_testbed.results.result import PathLike
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
@@ -49,7 +50,6 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from socket_testbed.simulation.limb import Scenario, TissueKind
 
-PathLike: TypeAlias = str | os.PathLike[str]
 Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
 """Reports long work: called with a task's name, such as `tiling`.
 

@@ -13,9 +13,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.result import Result
 from socket_testbed.api.trials import (
-    PathLike,
     Progress,
     as_path,
     as_trial,
@@ -33,6 +31,7 @@ from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
+from socket_testbed.results.result import PathLike, Result
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.metadata import TrialMetadata

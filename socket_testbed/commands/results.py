@@ -13,7 +13,6 @@ import pandas as pd
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
 from socket_testbed.api.cycles import MAX_PANELS
-from socket_testbed.api.pressure import TILE_TITLES
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
@@ -38,9 +37,10 @@ from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
+from socket_testbed.results.pressure import TILE_TITLES
+from socket_testbed.results.pressure_text import cells, limb_cells
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import Table
-from socket_testbed.trials.pressure import cells, limb_cells
 from socket_testbed.trials.trial import Trial
 
 _COLUMNS = 3  # outputs per table

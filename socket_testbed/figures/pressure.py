@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
@@ -17,13 +18,14 @@ from socket_testbed.figures.style import (
     thin_band,
 )
 from socket_testbed.figures.tiles import add_key, pressure_limits, tile_map_figure, value_range
-from socket_testbed.geometry.regions import main_regions
+from socket_testbed.geometry.regions import Region, main_regions
 from socket_testbed.geometry.socket import HEIGHTS, SECTORS, Side, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.pressure import Quantity, normal_quantity
-from socket_testbed.trials.pressure import SegmentPressure
+from socket_testbed.identification.pressure import PressureOutputs, Quantity, normal_quantity
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
 
-_NAMED_SEGMENTS = ("plateau", "hold")
+NAMED_SEGMENTS = ("plateau", "hold")
 _LABEL = "pressure [kPa]"
 _MAX_POINTS = 300  # per line
 _BAND_OPACITY = 0.18  # [-]
@@ -63,44 +65,61 @@ def force_map_figure(
     )
 
 
-def tile_pressures(found: SegmentPressure) -> dict[str, Quantity]:
-    """Mean and peak pressures of the tiles over a segment, (n,) [kPa], by title."""
-    at_peak, kind = found.outputs.peak_map, found.segment.kind
+def tile_pressures(outputs: PressureOutputs, kind: str, peak_time: float) -> dict[str, Quantity]:
+    """Mean and peak pressures of the tiles over a segment, (n,) [kPa], by title.
+
+    Args:
+        outputs: The outputs over the segment.
+        kind: Kind of the segment, such as `hold`.
+        peak_time: Time of the peak since the first sample of the trial [s].
+    """
+    at_peak = outputs.peak_map
     deviation = 1e-3 * at_peak.normal_pressure_standard_deviation[0]
-    mean = found.outputs.tiles.mean.part(..., 1e-3)
+    mean = outputs.tiles.mean.part(..., 1e-3)
     return {
-        f"mean over the {kind if kind in _NAMED_SEGMENTS else 'segment'}": mean,
-        f"at the peak, {found.peak_time:.2f} s": normal_quantity(
+        f"mean over the {kind if kind in NAMED_SEGMENTS else 'segment'}": mean,
+        f"at the peak, {peak_time:.2f} s": normal_quantity(
             1e-3 * at_peak.normal_pressure[0], deviation
         ),
     }
 
 
-def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
+def pressure_figure(
+    trial: Trial,
+    segment: Segment,
+    places: tuple[Region, ...],
+    outputs: PressureOutputs,
+    title: str,
+    style: FigureStyle,
+) -> Figure:
     """Unrolled maps of the pressure above that of sectors, heights and user regions over time.
 
     Args:
-        found: The pressure outputs over a segment.
+        trial: The trial.
+        segment: The part of the trial that the outputs cover.
+        places: The R regions of the outputs.
+        outputs: The outputs over the segment.
         title: Title of the figure; empty for none.
         style: Print layout.
     """
-    maps = tile_pressures(found)
+    time = np.asarray(trial.samples().time[segment.rows])
+    maps = tile_pressures(outputs, segment.kind, float(time[outputs.peak_row]))
     reach = {name: quantity.reach for name, quantity in maps.items()}
-    regions = {place.name: found.places.index(place) for place in main_regions(found.places)}
-    mean = found.outputs.mean_pressure()
-    events = [(event.time, event.label) for event in found.trial.events()]
+    regions = {place.name: places.index(place) for place in main_regions(places)}
+    mean = outputs.mean_pressure()
+    events = [(event.time, event.label) for event in trial.events()]
     return tile_map_figure(
-        found.trial.geometry,
+        trial.geometry,
         {name: quantity.value for name, quantity in maps.items()},
         _LABEL,
         title,
         style,
         limits=pressure_limits([quantity.value for quantity in maps.values()], style.limits),
-        side=found.trial.metadata.side,
+        side=trial.metadata.side,
         reach=reach,
         below=(
             _shape(regions, style)[2],
-            lambda part: draw_regions(part, found.time, mean, regions, events, style),
+            lambda part: draw_regions(part, time, mean, regions, events, style),
         ),
     )
 

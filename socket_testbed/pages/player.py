@@ -10,7 +10,7 @@ from socket_testbed.arrays import FloatArray, evenly, sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.pages import document
-from socket_testbed.trials.pressure import mapped_trial
+from socket_testbed.results.pressure import mapped_trial
 from socket_testbed.trials.trial import Trial
 
 _COURSE_SAMPLES = 400

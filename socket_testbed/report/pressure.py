@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.figures.pressure import pressure_figure, tile_pressures
+from socket_testbed.figures.pressure import NAMED_SEGMENTS, pressure_figure, tile_pressures
 from socket_testbed.identification.pressure import (
     SHARE,
     TITLES,
@@ -22,11 +22,11 @@ from socket_testbed.pages import document
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
+from socket_testbed.results.pressure import TrialPressure, by_place
+from socket_testbed.results.pressure_text import cells, limb_cells
 from socket_testbed.tables import Table, split_unit
-from socket_testbed.trials.pressure import SegmentPressure, by_place, cells, limb_cells
 
 _SENTENCE = ["peak pressure [kPa]", "mean pressure [kPa]", "contact area [cm^2]"]
-_NAMED_SEGMENTS = ("plateau", "hold")
 _SPANS = {"loaded": "while loaded", "all": "in the trial"}  # by the kind of a segment
 
 
@@ -77,13 +77,13 @@ def page_data(results: Results) -> dict[str, Any]:
     }
 
 
-def _span(found: SegmentPressure) -> str:
+def _span(found: TrialPressure) -> str:
     """The segment in words, such as `in the hold`."""
     kind = found.segment.kind
-    return _SPANS.get(kind, f"in the {kind if kind in _NAMED_SEGMENTS else 'segment'}")
+    return _SPANS.get(kind, f"in the {kind if kind in NAMED_SEGMENTS else 'segment'}")
 
 
-def _highest(found: SegmentPressure, over_trial: PressureOutputs, time: FloatArray) -> str:
+def _highest(found: TrialPressure, over_trial: PressureOutputs, time: FloatArray) -> str:
     """The highest pressure of the trial [kPa] and its time, if it is not that of the segment.
 
     The times since the first sample of the trial are those of the samples of `over_trial` [s].
@@ -130,7 +130,7 @@ def section(results: Results) -> Section:
     )
 
 
-def _tables(found: SegmentPressure) -> Iterator[Table]:
+def _tables(found: TrialPressure) -> Iterator[Table]:
     """Outputs of the regions, the last one the socket, and of the limb in the socket."""
     shown = cells([place.name for place in found.places], found.outputs.regions, "{}\n{}")
     shown = shown.rename(columns=_printed).rename_axis("region")
@@ -144,7 +144,7 @@ def _tables(found: SegmentPressure) -> Iterator[Table]:
         yield Table("limb", "Limb in the socket, about the centre of the tiles", column)
 
 
-def describe_pressure(found: SegmentPressure) -> str:
+def describe_pressure(found: TrialPressure) -> str:
     """The pressure on the socket in a sentence."""
     socket = cells([place.name for place in found.places], found.outputs.regions).iloc[-1]
     parts = []
@@ -165,13 +165,16 @@ def _printed(title: str) -> str:
 def _overview(results: Results) -> ReportFigure:
     """Unrolled pressure over the segment and at its peak, and regional pressure over time."""
     found = results.pressure
-    values = {f"{name} [kPa]": quantity.value for name, quantity in tile_pressures(found).items()}
+    maps = tile_pressures(found.outputs, found.segment.kind, found.peak_time)
+    values = {f"{name} [kPa]": quantity.value for name, quantity in maps.items()}
     return ReportFigure(
         "pressure_map",
         f"Pressure on the unrolled socket, {found.segment}, and at its peak. The greyer, the"
         " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
         " heights and user-defined regions, thinned without losing a peak;"
         " pressure_of_regions.csv holds all samples.",
-        lambda style: pressure_figure(found, "", style),
+        lambda style: pressure_figure(
+            found.trial, found.segment, found.places, found.outputs, "", style
+        ),
         pd.DataFrame({"tile": results.trial.geometry.names, **values}),
     )

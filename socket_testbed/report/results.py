@@ -26,10 +26,10 @@ from socket_testbed.identification.noise import ChannelNoise, smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.pressure import PressureOutputs
 from socket_testbed.identification.validation import Judgement, judge_samples
+from socket_testbed.results.pressure import TrialPressure, mapped_trial
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials.pressure import SegmentPressure, mapped_trial
 from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import read_true_forces
@@ -119,7 +119,7 @@ class Results:
     motion: information.Motion
     validation: tuple[Judgement, ...]
     no_validation: str
-    pressure: SegmentPressure
+    pressure: TrialPressure
     over_trial: PressureOutputs
     data: tuple[DataFinding, ...]
 

@@ -21,6 +21,7 @@ from support.arrivals import Stage, changes, options_of, plain, write_files
 
 import socket_testbed as st
 from socket_testbed.files import packaged
+from socket_testbed.results.pressure import TrialMap, TrialPressure
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.simulation.sensors import LIKE_PAPER
 from socket_testbed.socket_design.tiling import TilingSettings
@@ -206,11 +207,15 @@ def _stands_for_map(stage: Stage) -> None:
         stage.seen["length of the prior"] = settings.force_map.length
         stage.seen["regions"] = {} if geometry is None else geometry.regions
 
-        def over(segment: Segment, threshold: float) -> Any:
-            stage.seen |= {"segment": str(segment), "threshold [Pa]": threshold}
-            return SimpleNamespace(trial=trial, segment=segment, places=(), outputs=None)
+        def over(segment: Segment, threshold: float, share: float) -> Any:
+            stage.seen["segment"] = str(segment)
+            return TrialPressure(trial, segment, (), None, threshold, share)  # type: ignore[arg-type]
 
-        return SimpleNamespace(samples=trial.samples(), force_map=None, over=over)
+        def part(segment: Segment) -> TrialMap:
+            rows, time = segment.rows, trial.samples().time
+            return TrialMap(trial, segment, time[rows], trial.samples()[rows], None)  # type: ignore[arg-type]
+
+        return SimpleNamespace(part=part, over=over)
 
     stage.replace("api.pressure.mapped_trial", mapped)
 
@@ -562,7 +567,7 @@ CASES: dict[str, Cases] = {
     },
     "pressure": {
         "segment": ("2:5", {"part": "2:5", "segment": SPAN}),
-        "threshold": (20.0, {"threshold [Pa]": 20e3, "threshold [kPa]": 20.0}),
+        "threshold": (20.0, {"threshold [kPa]": 20.0}),
         "share": (0.1, {"share": 0.1}),
         "regions": (REGIONS, {"regions": {"mine": (0, 11)}}),
         "params": ("params.yaml", {"length of the prior": 0.05, "least force": 30.0}),

@@ -13,8 +13,8 @@ from support.results_by_hand import tile
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.report import pressure, quality
 from socket_testbed.report.results import Results
+from socket_testbed.results.pressure import TrialPressure
 from socket_testbed.samples import Samples
-from socket_testbed.trials.pressure import SegmentPressure
 from socket_testbed.trials.trial import Trial
 
 GIVEN, STORED = "given on the command line", "stored in the trial"
@@ -63,7 +63,7 @@ class _Moving(scene.HandMap):
 
 
 @pytest.fixture
-def moving(report) -> SegmentPressure:
+def moving(report) -> TrialPressure:
     """Pressures whose highest tile changes over the segment."""
     found = report.results.pressure
     socket = scene.geometry()
@@ -71,13 +71,13 @@ def moving(report) -> SegmentPressure:
     return replace(found, outputs=outputs)
 
 
-def test_the_tile_named_is_the_peak_s(moving: SegmentPressure) -> None:
+def test_the_tile_named_is_the_peak_s(moving: TrialPressure) -> None:
     first = moving.outputs.estimate.normal_pressure[0]
     assert np.argmax(first) == tile("post_mid")
     assert pressure.describe_pressure(moving).endswith("The peak is on ant_mid at 12.00 s.")
 
 
-def test_the_cards_name_the_peak_s_tile(report, moving: SegmentPressure) -> None:
+def test_the_cards_name_the_peak_s_tile(report, moving: TrialPressure) -> None:
     results: Results = replace(report.results, pressure=moving)
     data = pressure.page_data(results)
     assert data["start"] == 12.0
@@ -85,7 +85,7 @@ def test_the_cards_name_the_peak_s_tile(report, moving: SegmentPressure) -> None
     assert not any("post_mid" in str(card) for card in data["cards"])
 
 
-def test_a_map_is_drawn_at_the_peak(report, moving: SegmentPressure) -> None:
+def test_a_map_is_drawn_at_the_peak(report, moving: TrialPressure) -> None:
     drawn = pressure._overview(replace(report.results, pressure=moving)).data.set_index("tile")
     assert drawn["at the peak, 12.00 s [kPa]"]["post_mid"] == pytest.approx(37.5)
     assert drawn["at the peak, 12.00 s [kPa]"]["ant_mid"] == pytest.approx(60.0)

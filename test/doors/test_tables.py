@@ -18,7 +18,7 @@ from support import scene
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.api.pressure import TrialMap, TrialPressure
+from socket_testbed.results.pressure import TrialMap, TrialPressure
 from socket_testbed.samples import Status
 
 PLACES = [*scene.ANSWERS]

@@ -11,8 +11,9 @@ from support.wording import refused
 from socket_testbed.errors import TrialError
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.suspension import Suspension
+from socket_testbed.results import pressure, pressure_text
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import pressure, synchronise
+from socket_testbed.trials import synchronise
 from socket_testbed.trials.trial import Trial
 from socket_testbed.wire import cdr, messages, topics
 from socket_testbed.wire.messages import Reader
@@ -286,7 +287,7 @@ def test_contact_is_above_the_threshold(threshold: float, area: float, mapped: A
 
 def test_contact_is_told_with_its_threshold(mapped: Any) -> None:
     segment = mapped.trial.select("all", EstimatorSettings())
-    over = mapped.over(segment, 7.5e3)
+    over = mapped.over(segment, 7.5)
     assert over.contact == "in contact: above 7.5 kPa; the integrals cover 23.8 s"
     assert over.peak_time == 12.0 and over.time[[0, -1]].tolist() == [0.0, 23.75]
 
@@ -302,7 +303,7 @@ def test_an_unknown_stiffness_says_why() -> None:
                 "stiffness Fx [N/mm]": Quantity(nan, nan, nan, nan),
             }
 
-    found = pressure.limb_cells(Moving(), share=0.5)
+    found = pressure_text.limb_cells(Moving(), share=0.5)
     assert found["pistoning [mm]"].startswith("3.00 (2.50 to 3.50")
     assert found["stiffness Fx [N/mm]"] == (
         "\N{EN DASH} (the load does not change in every direction)"

@@ -1,14 +1,14 @@
-"""Common interface of all results of the API."""
+"""Common interface of all results."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+import os
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 
-from socket_testbed.api.trials import PathLike
 from socket_testbed.documents import check_kind, check_number, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PICTURES, check_suffix, write_text
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.figures.style import FigureStyle, Limits
+
+PathLike: TypeAlias = str | os.PathLike[str]
 
 
 class Result:
