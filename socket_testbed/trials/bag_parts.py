@@ -137,10 +137,26 @@ def _base_name(path: object) -> str:
 def find_storage(bag: Path) -> list[Path]:
     """The storage files in a bag's folder, as numbered: bag_2 before bag_10.
 
-    An unpacked file comes before its compressed one.
+    A file is one by its name, or under any other name by its first bytes. An unpacked file comes
+    before its compressed one.
     """
-    found = [file for file in bag.iterdir() if is_storage(file) and file.is_file()]
+    found = [
+        file
+        for file in bag.iterdir()
+        if file.is_file() and (is_storage(file) or _holds_storage(file))
+    ]
     return sorted(found, key=lambda file: (_by_number(plain_name(file.name)), len(file.name)))
+
+
+def _holds_storage(file: Path) -> bool:
+    """Whether a visible file of any other name begins as MCAP or SQLite."""
+    if file.name.startswith(".") or file.name == BAG_METADATA:
+        return False
+    try:
+        with file.open("rb") as stream:
+            return stream.read(len(SQLITE_MAGIC)).startswith((MCAP_MAGIC, SQLITE_MAGIC))
+    except OSError:  # a file beside the recording may belong to somebody else
+        return False
 
 
 def _by_number(name: str) -> list[tuple[int, str]]:

@@ -202,27 +202,25 @@ class Trial:
             return self.measurements_and_samples()[1]
         return self._kept.samples
 
-    def _without_strangers(self, measured: synchronise.Measurements) -> synchronise.Measurements:
-        """Leave out clusters that few messages name and that the configuration does not know.
-
-        If most messages name it, the configuration is wrong instead, which is an error.
-        """
-        counts = (measured.status != Status.MISSING).any(axis=2).sum(axis=0).tolist()
-        rare = [
-            n
-            for n, k in zip(measured.clusters, counts, strict=True)
-            if 2 * k < len(measured.stamps)
-        ]
-        if not rare:
-            return measured
+    def _strangers(self, clusters: Collection[str]) -> list[str]:
+        """The clusters that the configuration does not know; none if it knows none of them."""
         try:
             known = self.calibration.clusters.keys() & self.geometry.clusters.keys()
         except TestbedError:  # the caller may need neither
+            return []
+        strangers = [name for name in clusters if name not in known]
+        return strangers if len(strangers) < len(clusters) else []
+
+    def _without_strangers(self, measured: synchronise.Measurements) -> synchronise.Measurements:
+        """Leave out clusters that the configuration does not know, unless it knows none of them.
+
+        If it knows none, the configuration is of another testbed, which is an error.
+        """
+        strangers = self._strangers(measured.clusters)
+        if not strangers:
             return measured
-        strangers = [name for name in rare if name not in known]
+        counts = (measured.status != Status.MISSING).any(axis=2).sum(axis=0).tolist()
         kept = [i for i, name in enumerate(measured.clusters) if name not in strangers]
-        if not strangers or not kept:
-            return measured
         for name in strangers:
             count = counts[measured.clusters.index(name)]
             self._notify(
@@ -357,6 +355,8 @@ class Trial:
         if not counts:
             raise reader.refused[0]
         clusters: tuple[str, ...] = counts.most_common(1)[0][0]
+        strangers = self._strangers(clusters)
+        clusters = tuple(name for name in clusters if name not in strangers)
         self._require_clusters(clusters)
         return clusters
 

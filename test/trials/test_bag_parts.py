@@ -187,6 +187,16 @@ def test_a_file_is_what_it_holds(bag: Path) -> None:
     assert read(odd)[0] == ALL
 
 
+@pytest.mark.parametrize("name", ["bag_1.bin", "bag_1.mcap.bak", "bag_1.sqlite", "bag_1"])
+def test_a_part_of_another_suffix_is_read(bag: Path, name: str) -> None:
+    (bag / "bag_1.mcap").rename(bag / name)
+    note = (
+        f"metadata.yaml does not name {name}, read in place of bag_1.mcap; all messages that it"
+        " lists were read"
+    )
+    assert read(bag) == (ALL, [note])
+
+
 # --- missing, empty, truncated, pointers
 
 

@@ -482,6 +482,22 @@ def test_a_stray_cluster_is_left_out(hold: Path, tmp_path: Path) -> None:
     assert [note for note in trial.notes if note.startswith(words)]
 
 
+def test_a_cluster_renamed_throughout_is_left_out(hold: Path, tmp_path: Path) -> None:
+    """All messages call the first cluster 'heel': the others are read as before."""
+
+    def rename(topic: str, message: Any) -> Any:
+        if topic.endswith("clusters/capacitance"):
+            message.clusters[0].name = "heel"
+        return message
+
+    trial, sound = Trial(bags.rewrite(hold, tmp_path / "renamed", rename)), Trial(hold).samples()
+    samples = trial.samples()
+    assert samples.clusters == trial.check() == sound.clusters[1:]
+    np.testing.assert_array_equal(samples.local_forces, sound.local_forces[:, 1:])
+    words = "240 of 240 samples name a cluster 'heel', which the calibration or the socket does not"
+    assert [note for note in trial.notes if note.startswith(words)]
+
+
 def test_a_body_of_many_markers_is_cut(hold: Path, tmp_path: Path) -> None:
     """Another program's rigid body has 40 markers."""
 
