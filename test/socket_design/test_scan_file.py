@@ -59,6 +59,17 @@ def test_every_kind_of_file_gives_one_surface(cone, tmp_path, name, write):
     assert len(scan.notes) == 2  # of its unit and its brim: nothing was repaired
 
 
+def test_a_ply_may_be_called_stl(cone, path):
+    scan = read_scan(export(cone, path, file_type="ply"))
+    assert_same_surface(scan.mesh, cone)
+
+
+def test_a_pointer_of_git_lfs_is_named(path):
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")
+    with refused(ScanError, "is a Git LFS pointer", "git lfs pull"):
+        read_scan(path)
+
+
 @pytest.mark.parametrize("name", ["text.stl", "text.PLY"])
 def test_a_text_may_lack_its_final_line_feed(cone, tmp_path, name: str):
     """And its solid may have any name."""
