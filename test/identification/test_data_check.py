@@ -99,6 +99,17 @@ def test_a_damaged_copy_says_what_to_look_at(opened, scenario, source, parts, da
     assert all(str(finding).startswith("data: check ") for finding in found)
 
 
+def test_a_pose_that_jumps_delays_nobody(tmp_path: Path) -> None:
+    """Two markers are exchanged after 42 s: compared with the load, the pose seems 10 s early."""
+    trial = st.simulate(tmp_path / "t", "multi_direction", tissue="stiff", duration=60, seed=2)
+    samples = trial.samples()
+    position = samples.position.copy()
+    position[samples.time >= samples.time[0] + 42.0] += [0.0, 0.02, 0.02]
+    (finding,) = check_data(replace(samples, position=position), trial.geometry)
+    assert finding.source == "the limb pose"
+    assert "it jumps by 28.3 mm at 42.00 s" in finding.fact
+
+
 def test_a_finding_hides_no_unrelated_one(opened) -> None:
     trial = opened["protocol"]
     samples = trial.samples()

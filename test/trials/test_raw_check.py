@@ -115,6 +115,16 @@ DAMAGED: dict[str, tuple[Damage, str, str]] = {
         "the limb pose",
         "the pose of the pylon does not change for 29.8 s",
     ),
+    "position-alone": (
+        of_body("pylon", frozen(0, 1, 2, rows=ALL)),
+        "the limb pose",
+        "the pose of the pylon does not change for 29.8 s",
+    ),
+    "orientation-alone": (
+        of_body("socket", frozen(3, 4, 5, 6, rows=ALL)),
+        "the limb pose",
+        "the pose of the socket does not change for 29.8 s",
+    ),
     "repeating-cluster": (
         of_cluster("brim_lateral", repeated),
         "brim_lateral",
@@ -166,21 +176,37 @@ def test_a_written_trial_names_its_source(simulated, tmp_path: Path, case: str) 
     assert {name for name, _ in found} <= {source, "the wrench"}, found
 
 
-def test_a_still_bridge_is_named(simulated, tmp_path: Path) -> None:
-    write_simulated_trial(simulated, tmp_path / "trial")
+def with_ratio(trial: SimulatedTrial, ratio: float, folder: Path) -> Trial:
+    """A copy whose bridge 4 always reads `ratio`, beside the same wrenches."""
+    write_simulated_trial(trial, folder / "trial")
     pack = load_cell_raw_packer()
-    with copying(tmp_path / "trial", tmp_path / "still") as (old, new):
+    with copying(folder / "trial", folder / "copy") as (old, new):
         for raw in old.messages():
             data = raw.data
             if raw.topic == "/load_cell/raw":
                 message = decode(raw.data, raw.type)
                 ratios = message.ratios.copy()
-                ratios[3] = 0.25
+                ratios[3] = ratio
                 data = pack(stamp_of(message), ratios, np.zeros(6), 0, 0)
             new.write(raw.topic, raw.time, data)
-    (found,) = Trial(tmp_path / "still").problems()
+    return Trial(folder / "copy")
+
+
+@pytest.mark.parametrize(
+    ("ratio", "fact"),
+    [
+        pytest.param(0.25, "the ratio of bridge 4 does not change for 29.8 s", id="still"),
+        pytest.param(
+            np.nan,
+            "100 % of the ratios of bridge 4 are missing beside a complete wrench",
+            id="missing",
+        ),
+    ],
+)
+def test_a_faulty_bridge_is_named(simulated, tmp_path: Path, ratio: float, fact: str) -> None:
+    (found,) = with_ratio(simulated, ratio, tmp_path).problems()
     assert found.source == "the load cell"
-    assert found.fact == "the ratio of bridge 4 does not change for 29.8 s"
+    assert found.fact == fact
 
 
 def test_the_capacity_is_that_of_the_cell(simulated, tmp_path: Path) -> None:
