@@ -77,8 +77,10 @@ def open_checked(trial: Path, **options: Any) -> Trial:
     opened = open_given(trial, **options)
     left_out, params = options.get("leave_out"), options.get("params")
     if left_out is None and params is not None:
+        own = opened.with_channels(opened.estimator).identification.leave_out
         settings = opened.with_channels(estimator_settings(opened.estimator, Path(params)))
-        left_out = settings.identification.leave_out
+        stated = settings.identification.leave_out
+        left_out = None if stated == own else stated
     report_data(opened, leave_out=left_out)
     return opened
 

@@ -193,8 +193,9 @@ def write(folder: Path, side: str = "right", subject: str = "S01", second: bool 
     world = Pose(Rotation.from_rotvec([0.0, 0.0, 1.2]).as_matrix(), np.array([1.0, 2.0, 0.5]))
     count = len(TIME)
     # Cameras see even a body at rest move in its last digits.
-    seen = world.translation + 1e-9 * (np.arange(count) % 2)[:, None]
-    still = Pose(np.tile(world.rotation, (count, 1, 1)), seen)
+    tremor = 1e-9 * (np.arange(count) % 2)[:, None]
+    turned = Rotation.from_rotvec(tremor * [0.0, 0.0, 1.0]).as_matrix() @ world.rotation
+    still = Pose(turned, world.translation + tremor)
     # From the limb in {S} back to the pylon in the world.
     in_world = still @ socket.socket_body.inverse() @ limb(scale) @ socket.limb.inverse()
     poses = {"socket": still, "pylon": in_world}
