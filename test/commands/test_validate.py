@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from support.bags import edited, of_another_socket
+from support.bags import of_another_socket
 from support.verbs import call, refused
 
 import socket_testbed as st
@@ -92,14 +92,10 @@ def test_what_cannot_be_judged_is_passed_over(folder: Path, tmp_path: Path, caps
     (tmp_path / "broken").mkdir()
     recorded = shutil.copytree(folder / "s1", tmp_path / "s1")
     (recorded / "ground_truth.npz").unlink()  # it has no truth to compare with
-    bare = edited(
-        folder / "s1", tmp_path / "bare", lambda document: document["clusters"].pop("distal")
-    )
-    trials = folder / "s0", tmp_path / "broken", recorded, short, bare
+    trials = folder / "s0", tmp_path / "broken", recorded, short
     code, out, err = call(capsys, "validate", *trials)
     assert code == 0 and "note: short: passed over: only 20 of 20 samples" in err
     assert "note: broken: passed over: " in err and "to fit and to test need 24" in err
-    assert "note: bare: passed over: the cluster 'distal' of the trial" in err
     assert out.startswith("3 trials, means over them; models fitted on 2: s0, s1")
 
 

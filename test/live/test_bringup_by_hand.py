@@ -188,9 +188,12 @@ def test_thirty_samples_are_checked(
     count: int, found: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[dict[str, Any]] = []
-    monkeypatch.setattr(
-        fit_worker, "check_data", lambda own, geometry, **more: asked.append(more) or ["finding"]
-    )
+
+    def judged(own: Any, geometry: Any, leave_out: tuple[str, ...], whole: bool) -> Any:
+        asked.append({"leave_out": leave_out, "whole": whole})
+        return SimpleNamespace(findings=["finding"])
+
+    monkeypatch.setattr(fit_worker, "CheckedSamples", judged)
     samples: Any = range(count)
     assert fit_worker.check_samples(samples, scene.geometry(), ("distal.Fz",)) == found
     assert asked == [{"leave_out": ("distal.Fz",), "whole": False}] * len(found)

@@ -56,7 +56,8 @@ def test_timers_go_on_through_clock_steps(spun: str, tmp_path: Path) -> None:
     """As the program of the nodes spins them, and as a verb does."""
     clock = SystemClock(tmp_path)
     code, said, _ = program(sys.executable, "-c", CALLS, spun, **clock.environment)
-    assert (code, said.splitlines()) == (
+    calls = [line for line in said.splitlines() if line.endswith(" calls")]  # not DDS's own words
+    assert (code, calls) == (
         0,
         [f"{shift} s: 10 calls" for shift in ("+0", "+3600", "-7200", "+0", "-2")],
     )
