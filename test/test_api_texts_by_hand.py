@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from support import scene
 
 import socket_testbed as st
-from socket_testbed.api import comparison, design, result, trials, validation
+from socket_testbed.api import comparison, design, trials, validation
 from socket_testbed.api.cycles import Cycles
 from socket_testbed.api.design import CalibratedCluster
 from socket_testbed.errors import TestbedError, TrialError
 from socket_testbed.geometry.socket import write_socket
+from socket_testbed.results import result
 from socket_testbed.trials.events import Event
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
