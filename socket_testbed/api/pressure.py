@@ -20,8 +20,6 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.pressure import (
-    SHARE,
-    THRESHOLD,
     TITLES,
     columns_of,
     normal_quantity,
@@ -30,6 +28,7 @@ from socket_testbed.identification.pressure import (
 )
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.samples import Samples
+from socket_testbed.settings.options import PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.tables import split_unit, stacked, write_table
 from socket_testbed.trials.pressure import (
@@ -566,8 +565,8 @@ def pressure(
     trial: Trial | PathLike,
     segment: str | Span | Segment = "plateau",
     *,
-    threshold: float = 1e-3 * THRESHOLD,
-    share: float = SHARE,
+    threshold: float = PressureOptions.threshold,
+    share: float = PressureOptions.share,
     regions: Mapping[str, Sequence[str]] | None = None,
     params: PathLike | None = None,
     leave_out: Sequence[str] | None = None,

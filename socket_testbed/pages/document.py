@@ -26,7 +26,6 @@ from socket_testbed.geometry.socket import (
     SECTOR_PARTS,
     SOCKET,
     UNMEASURED,
-    Side,
     SocketGeometry,
 )
 from socket_testbed.identification.data_check import DataFinding
@@ -40,6 +39,7 @@ from socket_testbed.identification.pressure import (
 )
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.settings.options import Side
 from socket_testbed.trials.trial import Trial
 
 _INTEGRAL = "pressure-time integral [kPa s]"

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.regions import main_regions
-from socket_testbed.geometry.socket import HEIGHTS, SECTORS, Side, SocketGeometry
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
@@ -37,6 +37,7 @@ from socket_testbed.report.style import (
     thin_band,
 )
 from socket_testbed.report.tiles import add_key, pressure_limits, tile_map_figure, value_range
+from socket_testbed.settings.options import Side
 from socket_testbed.tables import Table, split_unit
 from socket_testbed.trials.pressure import SegmentPressure, by_place, cells, limb_cells
 

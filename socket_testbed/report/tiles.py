@@ -18,7 +18,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.socket import Side, SocketGeometry
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import greyness
 from socket_testbed.pages.document import GREY, POWER, fixed_end
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
@@ -34,6 +34,7 @@ from socket_testbed.report.style import (
     lay_out,
     wrap,
 )
+from socket_testbed.settings.options import Side
 
 _TILE = "#A6CBE3"
 _EDGE = "#2B5C7D"
