@@ -12,16 +12,12 @@ if __name__ == "__main__" or sys.argv[0].endswith("socket-testbed"):
     # Ctrl-C during the other imports ends the program without a traceback, as it does later.
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
 
-from socket_testbed.commands.arguments import (
-    Parser,
-    add_options,
-    read_function,
-    release_paths,
-)
+from socket_testbed.commands.arguments import Parser, add_options, release_paths
+from socket_testbed.commands.calls import CALLS
 from socket_testbed.errors import TestbedError, likely
 from socket_testbed.version import __version__
 
-# For each verb: the module of its function, whose docstring is its help, and an example.
+# For each verb: the module of its function, and an example.
 _GROUPS = {
     "try": {"demo": ("demo", "")},
     "set up": {
@@ -83,21 +79,20 @@ def _parse(words: list[str]) -> argparse.Namespace:
     called, arguments = parser, words
     if verb not in VERBS:
         parser.epilog = "\n\n".join(
-            "\n".join([f"{title}:", *(f"  {name:<10} {_summary(name)}" for name in group)])
+            "\n".join([f"{title}:", *(f"  {name:<10} {CALLS[name].summary}" for name in group)])
             for title, group in _GROUPS.items()
         )
     for name in [verb] if verb in VERBS else VERBS:
-        function = read_function(f"commands.{VERBS[name]}.{name}")
         example = f"example:\n  socket-testbed {name} {EXAMPLES[name]}"
         subparser = verbs.add_parser(
             name,
-            description=_summary(name),
-            epilog="\n\n".join(filter(None, [example, function.epilog])),
+            description=CALLS[name].summary,
+            epilog="\n\n".join(filter(None, [example, CALLS[name].epilog])),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
         if name == verb:
-            add_options(subparser, f"commands.{VERBS[verb]}.{verb}")
+            add_options(subparser, CALLS[verb])
             called, arguments = subparser, [verb, *release_paths(words[1:], subparser)]
     if completed is not None:
         _complete(parser)
@@ -109,11 +104,6 @@ def _parse(words: list[str]) -> argparse.Namespace:
     if unknown:
         called.error(f"not understood: {' '.join(unknown)}")
     return options
-
-
-def _summary(verb: str) -> str:
-    summary = read_function(f"commands.{VERBS[verb]}.{verb}").summary
-    return summary[0].lower() + summary[1:]
 
 
 def _complete(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,7 @@ LAYERS = (
     ("arrays", "errors", "clocks", "version"),
     ("documents", "files", "samples", "tables"),
     ("settings", "geometry"),
-    ("drivers", "calibration", "identification", "socket_design", "wire"),
+    ("alignment", "drivers", "calibration", "identification", "socket_design", "wire"),
     ("trials",),
     ("figures",),
     ("results",),

@@ -31,7 +31,7 @@ from socket_testbed.errors import (
     closest,
     naming,
 )
-from socket_testbed.geometry.socket import SECTOR_TURNS, UNMEASURED, Side, SocketGeometry
+from socket_testbed.geometry.socket import SECTOR_TURNS, UNMEASURED, SocketGeometry
 from socket_testbed.identification.differences import (
     DIFFERENCE,
     POWER,
@@ -41,10 +41,11 @@ from socket_testbed.identification.differences import (
     Conditions,
     is_clear,
 )
-from socket_testbed.identification.pressure import THRESHOLD, Quantity, decimals_of
+from socket_testbed.identification.pressure import Quantity, decimals_of
 from socket_testbed.results.pressure import Rows, TrialPressure
 from socket_testbed.results.result import PathLike, Result, records
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
+from socket_testbed.settings.options import ComparisonOptions, Side
 from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE
 from socket_testbed.trials.segment import Segment, Span, specification_of
@@ -326,7 +327,7 @@ def compare(
     *items: Trial | PathLike,
     conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
     segment: str | Span | Segment = "plateau",
-    threshold: float = 1e-3 * THRESHOLD,
+    threshold: float = ComparisonOptions.threshold,
     by_region: bool = False,
     params: PathLike | None = None,
     progress: Progress | None = None,

@@ -37,7 +37,12 @@ from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.results.pressure import TrialPressure
 from socket_testbed.results.result import PathLike, Result, origin
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
+from socket_testbed.settings.identification import (
+    FitChoices,
+    IdentificationSettings,
+    Variant,
+    Weights,
+)
 from socket_testbed.trials.segment import Segment, Span, first_frames
 from socket_testbed.trials.trial import Trial
 
@@ -339,17 +344,19 @@ def fit(
         segment: As `specification` in `trials.segment.select_segment`; also a span as a tuple, such
             as `(10, 20)` [s], or a `Segment`: see `trial.select`.
         params: A `testbed.yaml` to use instead of the trial's own.
-        variant: The contact law: `stiffness` as published, from the limb's position; `rigid` from
-            its pose; `stiffness_bias` and `rigid_bias` with offsets.
-        theta: Weight of the wrench against the clusters, 0 to 1 [-].
-        weights: Weighting of the channels within a group: by `size`, by `noise`, or `raw`.
-        smoothness: Weight of the smoothness over neighbouring tiles [-].
-        leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`; `distal`
-            leaves out all of a cluster.
-        pose_smoothing: Centred window over which poses are averaged [s].
-        frames: Number of samples used, from the start of the segment; 0: all.
-        initial_stiffness: k0 of Stage 1 [N/m]; `auto`: from the slope of the wrench.
-        solver: A solver available to qpsolvers.
+        variant: The law: `stiffness` as published, `rigid` by the limb's pose; `_bias` with offsets
+            [-].
+        theta: Weight of the wrench against the clusters, on normalised errors [-].
+        weights: Weights of the channels within a group: by `size`, by `noise`, or equal (`raw`)
+            [-].
+        smoothness: Weight of the smoothness over neighbouring tiles against the errors [-].
+        leave_out: Channels to leave out, such as `distal.Fx` or `Mz`; `distal` leaves out all of a
+            cluster [-].
+        pose_smoothing: Centred window of the mean pose in offline fits; 0: none [s].
+        frames: Samples from the segment's start that offline fits use; 0: all [1].
+        initial_stiffness: Stiffness k0 of every spring in Stage 1; `auto` or 0: from the trial's
+            slope [N/m].
+        solver: Solver of the quadratic programs: any that qpsolvers finds [-].
 
     Returns:
         The fit: `fit.model` is the contact model; `save` writes it.
@@ -368,7 +375,7 @@ def fit(
     'N'
     >>> fitted.save("hold.json")
     """
-    choices = {
+    choices: FitChoices = {
         "variant": variant,
         "theta": theta,
         "weights": weights,
@@ -517,8 +524,7 @@ def evaluate(
         trial: The trial, preferably not the one of the fit.
         model: A fit, a model from `read_model`, or the path of its file.
         segment: As in `fit`.
-        pose_smoothing: Centred window over which poses are averaged [s] (default: that of the
-            model's fit).
+        pose_smoothing: Centred window of the mean pose [s] (default: that of the model's fit).
         pressure: Whether to add the pressure outputs of the segment, see `st.pressure`. They come
             from the force map, not from the model.
 

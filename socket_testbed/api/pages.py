@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -18,6 +18,8 @@ from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
 from socket_testbed.results.result import PathLike
+from socket_testbed.settings.identification import ReportChoices
+from socket_testbed.settings.options import ReportOptions
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.segment import Segment, Span, specification_of
@@ -54,7 +56,7 @@ def write_report(
     segment: str | Span | Segment = "plateau",
     *,
     model: Model | None = None,
-    thetas: int = 101,
+    thetas: int = ReportOptions.thetas,
     params: PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
@@ -62,7 +64,7 @@ def write_report(
     width: float = 180,
     title: bool = True,
     progress: trials.Progress | None = None,
-    **choices: Any,
+    **choices: Unpack[ReportChoices],
 ) -> Results:
     """Write the results of a trial as one page, with a folder of its data next to it.
 

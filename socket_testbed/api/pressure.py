@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.trials import as_trial, settings_of
 from socket_testbed.documents import check_number, mapping_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
-from socket_testbed.identification.pressure import SHARE, THRESHOLD
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.results.pressure import MappedTrial, TrialMap, TrialPressure, mapped_trial
 from socket_testbed.results.result import PathLike
+from socket_testbed.settings.options import PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -76,8 +76,8 @@ def pressure(
     trial: Trial | PathLike,
     segment: str | Span | Segment = "plateau",
     *,
-    threshold: float = 1e-3 * THRESHOLD,
-    share: float = SHARE,
+    threshold: float = PressureOptions.threshold,
+    share: float = PressureOptions.share,
     regions: Mapping[str, Sequence[str]] | None = None,
     params: PathLike | None = None,
     leave_out: Sequence[str] | None = None,

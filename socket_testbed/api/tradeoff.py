@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -14,15 +14,18 @@ from socket_testbed.api.trials import Progress, as_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_whole
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.paper import PUBLISHED_FRAMES, THEIRS, beside_published
+from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.identification.pareto import Front, front_document, front_table, pareto_front
 from socket_testbed.results.result import PathLike, Result, origin, records
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
+    FrontChoices,
     IdentificationSettings,
+    PaperChoices,
     Variant,
     Weights,
 )
+from socket_testbed.settings.options import FrontOptions, PaperOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
@@ -103,10 +106,10 @@ def pareto(
     trial: Trial | PathLike,
     segment: str | Span | Segment = "plateau",
     *,
-    thetas: int = 101,
+    thetas: int = FrontOptions.thetas,
     params: PathLike | None = None,
     progress: Progress | None = None,
-    **choices: Any,
+    **choices: Unpack[FrontChoices],
 ) -> Tradeoff:
     """Identify the contact model along theta, for the paper's variants, and find the knees.
 
@@ -204,12 +207,12 @@ def paper(
     trial: Trial | PathLike,
     segment: str | Span | Segment = "plateau",
     *,
-    thetas: int = 101,
-    weights: Weights = "raw",
-    frames: int = PUBLISHED_FRAMES,
+    thetas: int = PaperOptions.thetas,
+    weights: Weights = PaperOptions.weights,
+    frames: int = PaperOptions.frames,
     params: PathLike | None = None,
     progress: Progress | None = None,
-    **choices: Any,
+    **choices: Unpack[PaperChoices],
 ) -> PaperTable:
     """Run the paper's pipeline: both stages, without and with offsets, and the front over theta.
 
@@ -238,7 +241,7 @@ def paper(
     [3.99, 0.95]
     """
     trial = as_trial(trial)
-    chosen = {"weights": weights, "frames": frames, "params": params, **choices}
+    chosen: dict[str, Any] = {"weights": weights, "frames": frames, "params": params, **choices}
     theta_values(thetas)  # fails before long work
     if "variant" in choices:
         raise ConfigurationError("variant is given", "leave it: the paper's two are fitted")

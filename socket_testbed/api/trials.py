@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias, Unpack
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import (
@@ -29,11 +29,17 @@ from socket_testbed.files import (
     file_or_packaged,
     packaged,
 )
-from socket_testbed.geometry.socket import Side, read_socket
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.results.result import PathLike
-from socket_testbed.settings.acquisition import TriggerSettings
-from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.identification import FitChoices, IdentificationSettings
+from socket_testbed.settings.options import (
+    RECORDED,
+    Scenario,
+    Side,
+    SimulationOptions,
+    TissueKind,
+)
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag import is_bag
 from socket_testbed.trials.metadata import (
@@ -43,12 +49,8 @@ from socket_testbed.trials.metadata import (
     read_metadata,
     write_metadata,
 )
-from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.segment import Span, parse_span
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    from socket_testbed.simulation.limb import Scenario, TissueKind
 
 Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
 """Reports long work: called with a task's name, such as `tiling`.
@@ -191,7 +193,9 @@ def open_trial(
     return trial
 
 
-def settings_of(trial: Trial, params: PathLike | None, **choices: Any) -> EstimatorSettings:
+def settings_of(
+    trial: Trial, params: PathLike | None, **choices: Unpack[FitChoices]
+) -> EstimatorSettings:
     """The settings of a trial, or those of `params`, with the choices of a call.
 
     Args:
@@ -204,8 +208,9 @@ def settings_of(trial: Trial, params: PathLike | None, **choices: Any) -> Estima
     """
     names = [field.name for field in fields(IdentificationSettings)]
     refuse_unknown(choices, names, "a setting")
-    if choices.get("leave_out") is not None:
-        choices["leave_out"] = trial.channels(choices["leave_out"])
+    leave_out = choices.get("leave_out")
+    if leave_out is not None:
+        choices["leave_out"] = trial.channels(leave_out)
     return trial.with_channels(estimator_settings(trial.estimator, as_path(params), **choices))
 
 
@@ -361,13 +366,13 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
 
 def simulate(
     path: PathLike,
-    scenario: Scenario = "static_hold",
+    scenario: Scenario = SimulationOptions.scenario,
     *,
-    tissue: TissueKind = "soft",
+    tissue: TissueKind = SimulationOptions.tissue,
     like_paper: bool = False,
-    duration: float = 120.0,
-    rate: float = TriggerSettings.rate,
-    seed: int = 0,
+    duration: float = SimulationOptions.duration,
+    rate: float = SimulationOptions.rate,
+    seed: int = SimulationOptions.seed,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
     replace: bool = False,

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -33,6 +33,7 @@ from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.results.result import PathLike, Result
 from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import ValidationChoices
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment, Span
@@ -149,7 +150,7 @@ def validate(
     segment: str | Span | Segment = "all",
     params: PathLike | None = None,
     progress: Progress | None = None,
-    **choices: Any,
+    **choices: Unpack[ValidationChoices],
 ) -> Validation:
     """Judge estimates of tile forces and wrench on held-out data.
 
@@ -169,7 +170,8 @@ def validate(
         segment: As in `fit`.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
-        choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
+        choices: `theta`, `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in
+            `fit`.
 
     Returns:
         The validation: `summary()` has the means over the trials, `to_dataframe()` every judgement,
@@ -288,7 +290,7 @@ def _recordings(
     trials: Sequence[Trial],
     segment: str | Span | Segment,
     params: Path | None,
-    choices: dict[str, Any],
+    choices: ValidationChoices,
 ) -> list[_Recording]:
     """Read the trials, which must be different and of one socket."""
     if not trials:

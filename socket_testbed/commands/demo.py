@@ -13,6 +13,8 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
 from socket_testbed.arrays import FloatArray
+from socket_testbed.commands import calls
+from socket_testbed.commands.calls import takes
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.figures import style
@@ -47,13 +49,10 @@ _MIN_USABLE = 0.3  # [-]; with fewer complete samples in the last attempt the de
 _MAX_RETRIES = 4
 
 
-def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
-    """Run the simulated testbed live, replay its trial, and show the errors.
-
-    Args:
-        output: Folder of the trial and of the figure.
-        seed: Seed of the simulated testbed.
-    """
+@takes(calls.Demo)
+def demo(call: calls.Demo) -> None:
+    """Run the simulated testbed live, replay its trial, and show the errors."""
+    output = call.output
     started = time.monotonic()
     _prepare_folder(output)
     print(
@@ -62,7 +61,7 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
         f" ({_TRIGGER_RATE:g} Hz)"
     )
     trial = Trial(output / "trial")
-    samples, scale = _record(trial, seed, output / _LOG)
+    samples, scale = _record(trial, call.seed, output / _LOG)
 
     speed = _REPLAY_SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,13 +14,15 @@ from socket_testbed.calibration.bench_data import STRESSES, UNITS
 from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
-from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.options import check_files, draw, given, name_and_value, print_note
+from socket_testbed.commands import calls
+from socket_testbed.commands.calls import takes
+from socket_testbed.commands.options import check_files, draw, name_and_value, print_note
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import check_outputs
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.settings.options import TileOptions, given
 from socket_testbed.socket_design import registration
 from socket_testbed.socket_design.design import parse_point
 from socket_testbed.socket_design.tiling import TilingSettings
@@ -34,44 +34,25 @@ _MAX_SHOWN = 10  # outliers
 _UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
 
 
-@takes("tile", "files.check_outputs", exclusive="landmarks points")
-def tile(
-    scan: Path,
-    *,
-    output: Path,
-    height: float = 80.0,
-    size: float = 1e3 * TilingSettings.edge,
-    flatness: float = 1e3 * TilingSettings.flatness,
-    rounds: int = TilingSettings.rounds,
-    seed: int = TilingSettings.seed,
-    points: tuple[str, str, str] | None = None,
-    replace: bool = False,
-    **options: Any,
-) -> None:
-    """Turn a scan into tiles, frames and neighbours.
-
-    Args:
-        height: Height of the distal end above the load cell [mm].
-        size: Edge length of a tile [mm].
-        flatness: Largest distance of the surface from a tile's plane [mm].
-        rounds: Rounds of the search; more may find further tiles.
-        seed: Seed of the search.
-    """
-    check_number(height, "--height", 0.0, 1000.0)
+@takes(calls.Tile)
+def tile(call: calls.Tile) -> None:
+    """Turn a scan into tiles, frames and neighbours."""
+    output = call.output
+    check_number(call.height, "--height", 0.0, 1000.0)
     settings = TilingSettings(
-        edge=1e-3 * check_number(size, "--size", 5.0, 100.0),
-        flatness=1e-3 * check_number(flatness, "--flatness", 0.1, size / 2.0),
-        rounds=int(check_number(rounds, "--rounds", 0, 100_000)),
-        seed=int(check_number(seed, "--seed", 0)),
+        edge=1e-3 * check_number(call.size, "--size", 5.0, 100.0),
+        flatness=1e-3 * check_number(call.flatness, "--flatness", 0.1, call.size / 2.0),
+        rounds=int(check_number(call.rounds, "--rounds", 0, 100_000)),
+        seed=int(check_number(call.seed, "--seed", 0)),
     )
-    picked = [parse_point(point, "--points") for point in points or ()]
+    picked = [parse_point(point, "--points") for point in call.points or ()]
     extras = [output.with_suffix(suffix) for suffix in (".png", ".html")]
-    check_outputs(output, *extras, replace=replace)
+    check_outputs(output, *extras, replace=call.replace)
     design = api.tile(
-        scan,
+        call.scan,
         output,
-        **options,
-        height=1e-3 * height,
+        **given(call, TileOptions),
+        height=1e-3 * call.height,
         points=np.array(picked) if picked else None,
         settings=settings,
         progress=Progress,
@@ -87,25 +68,13 @@ def tile(
         print(f"{name.ljust(width)}  {value}")
 
 
-@takes("register", "files.check_outputs", epilog=registration.LANDMARK_FILE_HELP)
-def register(
-    take: Path,
-    *,
-    landmarks: Path,
-    socket: Path,
-    output: Path | None = None,
-    force: bool = False,
-    replace: bool = False,
-) -> None:
-    """Locate the marker bodies' frames from a static take and landmarks.
-
-    Args:
-        output: File of the registered socket (default: replace the socket itself).
-    """
-    output = output or socket
-    if output != socket:
-        check_outputs(output, replace=replace)
-    found = api.register(take, landmarks, socket, output, force=force)
+@takes(calls.Register)
+def register(call: calls.Register) -> None:
+    """Locate the marker bodies' frames from a static take and landmarks."""
+    output = call.output or call.socket
+    if output != call.socket:
+        check_outputs(output, replace=call.replace)
+    found = api.register(call.take, call.landmarks, call.socket, output, force=call.force)
     for note in found.notes:
         print_note(note)
     print(f"{_registration(found)}\n\nregistered socket in {output}")
@@ -183,49 +152,30 @@ def _vector(values: FloatArray, digits: int = 2) -> str:
     return f"({', '.join(decimals(value, digits) for value in values)})"
 
 
-@takes("calibrate", "commands.options.draw", "files.check_outputs", exclusive="area geometry")
-def calibrate(
-    bench: list[Path],
-    *,
-    output: Path,
-    cluster: str,
-    into: Path | None = None,
-    columns: Sequence[str] = (),
-    units: Sequence[str] = (),
-    wiring: tuple[int, int, int, int] | None = None,
-    baseline: Sequence[Path] = (),
-    limit: float = 10.0,
-    force: bool = False,
-    figure: Path | None = None,
-    replace: bool = False,
-    **options: Any,
-) -> None:
-    """Fit a cluster's coefficients to bench data and show their quality.
-
-    Args:
-        output: The calibration file; an existing one keeps its other clusters.
-        limit: Largest held-out RMSE in percent of full scale.
-        force: Write even above the limit.
-        figure: Draw the fit.
-    """
-    check_number(limit, "--limit", 0.0, 100.0)
+@takes(calls.Calibrate)
+def calibrate(call: calls.Calibrate) -> None:
+    """Fit a cluster's coefficients to bench data and show their quality."""
+    output, into = call.output, call.into
+    check_number(call.limit, "--limit", 0.0, 100.0)
     new = into is not None and into.resolve() != output.resolve()
-    check_files(output if new else None, figure, replace=replace, table=False)
+    check_files(output if new else None, call.figure, replace=call.replace, table=False)
     found = api.calibrate(
-        bench,
-        cluster,
-        **given(options, api.calibrate),
+        call.bench,
+        call.cluster,
         into=into or (output if output.exists() else None),
-        baseline=baseline,
-        columns=_assignments(columns, "--columns"),
-        units=_assignments(units, "--units"),
-        wiring=wiring,
+        baseline=call.baseline,
+        columns=_assignments(call.columns, "--columns"),
+        units=_assignments(call.units, "--units"),
+        area=call.area,
+        geometry=call.geometry,
+        wiring=call.wiring,
+        drop_outliers=call.drop_outliers,
     )
     for note in found.notes():
         print_note(note)
     print(_calibration(found))
-    draw(found, figure, **options)
-    found.save(output, limit, force, replace)
+    draw(found, **given(call, draw))
+    found.save(output, call.limit, call.force, call.replace)
     old = found.existing.clusters if found.existing else {}
     others = [name for name in old if name != found.name]
     kept = f"; kept: {', '.join(others)}" if others else ""

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from socket_testbed import clocks
-from socket_testbed.commands.arguments import takes
+from socket_testbed.commands import calls
+from socket_testbed.commands.calls import ConfigurationOptions, SimulatedOptions, takes
 from socket_testbed.commands.options import (
     check_metadata,
-    given,
+    left_out,
     name_and_value,
     open_given,
     print_note,
@@ -34,13 +35,16 @@ from socket_testbed.live.hardware import find_user
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.settings.acquisition import READY_TIMEOUT
-from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.options import (
+    EstimatorOptions,
+    TrialFiles,
+    given,
+)
 from socket_testbed.settings.testbed import (
     RecorderSettings,
     ReplaySettings,
     estimator_settings,
 )
-from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag_parts import BAG_METADATA
@@ -55,40 +59,23 @@ _COUNTED = ("number of the cluster", "1 + the", "-1: the limb")
 _START_TIMEOUT = READY_TIMEOUT + 30.0
 
 
-def simulated(
-    *,
-    simulated: bool = False,
-    scenario: Scenario = Simulation.scenario,
-    period: float = Simulation.period,
-    tissue: TissueKind = Simulation.tissue,
-    seed: int = Simulation.seed,
-    fault: Iterable[str] = (),
-    **others: Any,
-) -> tuple[Simulation | None, dict[str, float]]:
-    """For simulated hardware.
+def simulated(options: SimulatedOptions) -> tuple[Simulation | None, dict[str, float]]:
+    """The simulation, None for real hardware, and the active faults.
 
-    Args:
-        simulated: Simulate the hardware at its buses.
-        scenario: As in `simulate`.
-        period: Period of the scenario [s].
-        tissue: As in `simulate`.
-        seed: As in `simulate`.
-        fault: Switch on a fault, such as load_cell.flipped_bits=0.01; see docs/faults.md.
-
-    Returns:
-        The simulation, None for real hardware, and the active faults.
+    Raises:
+        ConfigurationError: An option is out of its range, or belongs to simulated hardware that is
+            not asked for.
     """
-    faults = dict(map(_fault, fault))
-    if not simulated:
-        chosen = {"scenario": scenario, "period": period, "tissue": tissue, "seed": seed}
-        other = {
-            name: value for name, value in chosen.items() if value != getattr(Simulation, name)
-        }
+    faults = dict(map(_fault, options.fault))
+    chosen = {name: getattr(options, name) for name in ("scenario", "period", "tissue", "seed")}
+    if not options.simulated:
+        usual = SimulatedOptions()
+        other = {name: value for name, value in chosen.items() if value != getattr(usual, name)}
         refuse_given(other | {"fault": faults or None}, "simulated hardware", "add --simulated")
         return None, {}
-    check_number(period, "--period", 5.0, 3600.0)
-    check_number(seed, "--seed", 0)
-    return Simulation(scenario, period, seed, tissue=tissue), faults
+    check_number(options.period, "--period", 5.0, 3600.0)
+    check_number(options.seed, "--seed", 0)
+    return Simulation(**chosen), faults
 
 
 def _fault(text: str) -> tuple[str, float]:
@@ -110,43 +97,31 @@ def _fault(text: str) -> tuple[str, float]:
         ) from None
 
 
-def configured(
-    simulation: Simulation | None,
-    *,
-    geometry: Path | None = None,
-    calibration: Path | None = None,
-    params: Path | None = None,
-    **others: Any,
-) -> bringup.Testbed:
+def configured(simulation: Simulation | None, options: ConfigurationOptions) -> bringup.Testbed:
     """The configured testbed; errors in its files are reported before any node starts.
 
     Args:
-        geometry: As in `simulate`.
-        calibration: A `calibration.yaml` (default: the package's own).
-        params: A `testbed.yaml` with the parameters of the nodes.
+        simulation: The simulation; None for real hardware.
+        options: Files of the testbed.
     """
-    settings = bringup.testbed_settings(params, simulation)
-    files = bringup.testbed_files(settings, geometry, calibration)
+    settings = bringup.testbed_settings(options.params, simulation)
+    files = bringup.testbed_files(settings, options.geometry, options.calibration)
     if simulation is None and not (socket := read_socket(files[0])).registration:
         print_note(f"{files[0]}: {socket.bodies}")
     return bringup.Testbed(settings, *files, simulation=simulation)
 
 
-@takes("commands.live.configured", "commands.live.simulated")
-def doctor(*, press: bool = False, **options: Any) -> None:
+@takes(calls.Doctor)
+def doctor(call: calls.Doctor) -> None:
     """Check every connection, and say how to fix what fails.
 
     While a testbed runs on these buses, it reports what the testbed says of them instead.
 
-    Args:
-        press: Ask for a press on each cluster instead, with the limb out of the socket, to check
-            its position, its sign, and the load cell's direction.
-
     Raises:
         DeviceError: A check failed, or another program uses the buses that --press needs.
     """
-    simulation, faults = simulated(**options)
-    testbed = configured(simulation, **options)
+    simulation, faults = simulated(call)
+    testbed = configured(simulation, call)
     _check_faults(faults, testbed)
     world = None
     user = find_user(testbed.settings) if simulation is None else None
@@ -158,7 +133,7 @@ def doctor(*, press: bool = False, **options: Any) -> None:
             testbed, world = bringup.simulate_hardware(graph, testbed, simulation)
             for name, value in faults.items():
                 world.faults.switch(name, value)
-        if press:
+        if call.press:
             clusters = testbed.settings.cluster_node.names
             if user is not None:
                 raise user
@@ -195,63 +170,34 @@ def _ask(world: World | None, clusters: Sequence[str], request: str) -> None:
         world.faults.switch("limb.out", number)
 
 
-@takes(
-    "commands.live.configured",
-    "fit",
-    "annotate",
-    "commands.live.simulated",
-    without="segment pose_smoothing frames initial_stiffness remove",
-)
-def run(
-    *,
-    record: Path | None = None,
-    model: Path | None = None,
-    rate: float | None = None,
-    duration: float | None = None,
-    one_process: bool = False,
-    view: bool = False,
-    view_host: str | None = None,
-    view_port: int | None = None,
-    time_scale: float | Literal["auto"] = 1.0,
-    **options: Any,
-) -> None:
+@takes(calls.Run)
+def run(call: calls.Run) -> None:
     """Start the testbed, real or simulated, and record it.
-
-    Args:
-        record: Record a trial into this folder; without it, the page's button records into trials/.
-        model: Predict with this model instead of fitting one.
-        rate: Trigger rate [Hz].
-        duration: Stop after this testbed time, counted from the first trigger [s].
-        one_process: Run all nodes except trigger and recorder in one process.
-        view: Serve the page for a browser, see 'socket-testbed view'.
-        view_host: Serve the page on this address of the machine.
-        view_port: Serve the page on this port.
-        time_scale: Speed of the simulated testbed relative to real time, at most 1; auto: as fast
-            as the machine allows.
 
     Raises:
         ConfigurationError: An option is wrong, or belongs to simulated hardware, a recorded trial
             or a page that is not asked for.
         TrialError: A recorded trial is empty, or its recording stopped early.
     """
+    duration = call.duration
     if duration is not None:
         check_number(duration, "--duration", 0.1, 1e6)
-    simulation, faults = simulated(**options)
+    simulation, faults = simulated(call)
     if simulation is not None:
-        simulation = dataclasses.replace(simulation, time_scale=_time_scale(time_scale))
-    elif time_scale != 1.0:
+        simulation = dataclasses.replace(simulation, time_scale=_time_scale(call.time_scale))
+    elif call.time_scale != 1.0:
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
-    testbed = _testbed(simulation, record, model, rate, options)
+    testbed = _testbed(simulation, call)
     _check_faults(faults, testbed)
-    testbed = dataclasses.replace(testbed, one_process=one_process)
+    testbed = dataclasses.replace(testbed, one_process=call.one_process)
     record, trials = testbed.record, Path(testbed.settings.recorder_node.directory)
     if record is not None:
         bringup.check_new_trial(record)
     place = (trials, "") if record is None else (record.parent, record.resolve().name)
     older = _trials(*place)
-    if record is None and view:  # the page's button records
+    if record is None and call.view:  # the page's button records
         testbed = dataclasses.replace(testbed, record=trials, at_once=False)
-    page = _page(testbed, view, view_host, view_port)
+    page = _page(testbed, call.view, call.view_host, call.view_port)
     with (
         StatusLine(record.parent if record else None) as status,
         Graph(status.output, status.renew) as graph,
@@ -349,20 +295,16 @@ def _time_scale(wanted: float | Literal["auto"]) -> float:
     return scale
 
 
-def _testbed(
-    simulation: Simulation | None,
-    record: Path | None,
-    model: Path | None,
-    rate: float | None,
-    options: Mapping[str, Any],
-) -> bringup.Testbed:
-    testbed = configured(simulation, **options)
+def _testbed(simulation: Simulation | None, call: calls.Run) -> bringup.Testbed:
+    testbed = configured(simulation, call)
     trigger = testbed.settings.trigger_node
-    if rate is not None:
-        trigger = dataclasses.replace(trigger, rate=rate)
-    stored, chosen = testbed.settings.estimator_node, given(options, IdentificationSettings)
-    estimator = bringup.predict_with(model, estimator_settings(stored, **chosen), testbed.geometry)
-    metadata, record = check_metadata(options), bringup.new_trial(testbed.settings, record)
+    if call.rate is not None:
+        trigger = dataclasses.replace(trigger, rate=call.rate)
+    stored, chosen = testbed.settings.estimator_node, given(call, EstimatorOptions)
+    estimator = bringup.predict_with(
+        call.model, estimator_settings(stored, **chosen), testbed.geometry
+    )
+    metadata, record = check_metadata(call), bringup.new_trial(testbed.settings, call.record)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
@@ -390,31 +332,20 @@ def _page(
     return GraphNode("view_node", settings, namespace, testbed.use_sim_time, optional=True)
 
 
-@takes("annotate", without="remove")
-def record(
-    directory: Path,
-    *,
-    geometry: Path | None = None,
-    calibration: Path | None = None,
-    params: Path | None = None,
-    **metadata: Any,
-) -> None:
+@takes(calls.Record)
+def record(call: calls.Record) -> None:
     """Record the graph as a trial.
-
-    Args:
-        directory: Folder of the new trial.
-        geometry: The `socket.yaml` to store in the trial.
-        calibration: The `calibration.yaml` to store in the trial.
-        params: The `testbed.yaml` to store in the trial.
 
     Raises:
         TrialError: The trial is not there at the end, or its recording stopped early.
     """
+    directory, geometry, calibration = call.directory, call.geometry, call.calibration
     check_new_folder(directory)
-    read_configuration(geometry, calibration, params)  # the trial needs readable files later
-    stored = {"geometry": geometry, "calibration": calibration, "parameters": params}
+    # The trial needs readable files later.
+    read_configuration(geometry, calibration, call.params)
+    stored = {"geometry": geometry, "calibration": calibration, "parameters": call.params}
     files: dict[str, Any] = {name: str(path.resolve()) for name, path in stored.items() if path}
-    stated = check_metadata(metadata)
+    stated = check_metadata(call)
     settings = RecorderSettings(directory=str(directory.resolve()), record=True, **files)
     disk = directory.resolve().parent
     with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
@@ -434,47 +365,29 @@ def record(
     _require_end(directory)
 
 
-@takes(
-    "commands.options.open_given",
-    "fit",
-    without="unloaded segment pose_smoothing frames initial_stiffness",
-)
-def replay(
-    trial: Path,
-    *,
-    rate: float = 1.0,
-    loop: bool = False,
-    paused: bool = False,
-    estimate: bool = False,
-    model: Path | None = None,
-    **options: Any,
-) -> None:
-    """Publish a trial with /clock; --estimate runs the estimator on it.
-
-    Args:
-        rate: Speed relative to the recording.
-        loop: Start again at the end.
-        paused: Start paused; the space bar continues.
-        estimate: Also run the calibration and estimator nodes.
-        model: Predict with this model instead of fitting one.
-    """
-    opened = open_given(trial, **options)
-    report_data(opened, leave_out=options.get("leave_out"))
-    replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
-    if estimate:
-        chosen = given(options, IdentificationSettings)
-        estimator = estimator_settings(opened.estimator, options["params"], **chosen)
-        estimator = bringup.predict_with(model, estimator, opened.geometry_path)
+@takes(calls.Replay)
+def replay(call: calls.Replay) -> None:
+    """Publish a trial with /clock; --estimate runs the estimator on it."""
+    opened = open_given(call.trial, call)
+    report_data(opened, leave_out=left_out(opened, call))
+    replayed = ReplaySettings(
+        trial=str(call.trial.resolve()), rate=call.rate, loop=call.loop, paused=call.paused
+    )
+    chosen = given(call, EstimatorOptions)
+    if call.estimate:
+        estimator = estimator_settings(opened.estimator, call.params, **chosen)
+        estimator = bringup.predict_with(call.model, estimator, opened.geometry_path)
         nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:
-        refuse_given({"model": model, **options}, "the estimator", "add --estimate")
+        used = {"model": call.model, **given(call, TrialFiles), "params": call.params, **chosen}
+        refuse_given(used, "the estimator", "add --estimate")
         nodes = [GraphNode("replay_node", replayed)]
     namespace = recorded_namespace(opened)
     with opened.open() as bag:  # an unreadable trial is reported before any node starts
         length = bag.duration
     pause = full_name(Service.PAUSE_REPLAY, nodes[-1].namespace)
     with (
-        StatusLine(duration=length, pause=pause, paused=paused) as status,
+        StatusLine(duration=length, pause=pause, paused=call.paused) as status,
         Graph(status.output, status.renew) as graph,
     ):
         graph.start_nodes(nodes)

@@ -1,9 +1,8 @@
-"""Options shared by several verbs, and running a verb on one trial or on a folder of trials."""
+"""What several verbs do with their options, and running a verb on a trial or a folder of trials."""
 
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -13,17 +12,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
-from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.terminal import Progress, say
+from socket_testbed.commands.calls import BatchOptions
+from socket_testbed.commands.terminal import say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.options import (
+    RECORDED,
+    MetadataOptions,
+    OpenOptions,
+    Options,
+    TrialFiles,
+    given,
+)
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag import find_trials
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
-from socket_testbed.trials.reprocess import RECORDED, parse_unloaded
+from socket_testbed.trials.reprocess import parse_unloaded
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -31,58 +38,62 @@ if TYPE_CHECKING:
     from socket_testbed.api import Result
 
 _FILES = ("geometry", "calibration", "load_cell", "params", "model")
+# Options of which the outputs of a batch do not depend, or which its jobs compare by themselves.
 _NO_SETTINGS = {*_FILES, "output", "replace", "command", "figure", "json"}
+_NO_SETTINGS |= {"trial", "jobs", "dask", "again", "alone"}
 R = TypeVar("R")
+Call = TypeVar("Call", bound=BatchOptions)
+Opened = TypeVar("Opened", bound=TrialFiles)
 Shown = TypeVar("Shown", bound="Result")
 
 
-def given(options: Mapping[str, Any], *functions: Callable[..., Any]) -> dict[str, Any]:
-    """The options accepted by some functions, as keywords.
-
-    Args:
-        options: Options of a verb, by name of the parameter.
-        functions: The functions that are called with the result.
-    """
-    names = {name for function in functions for name in inspect.signature(function).parameters}
-    return {name: value for name, value in options.items() if name in names}
-
-
-def open_given(
-    trial: Path,
-    *,
-    geometry: Path | None = None,
-    calibration: Path | None = None,
-    unloaded: Sequence[str] = (),
-    load_cell: Path | None = None,
-    tare: str = RECORDED,
-    **others: Any,
-) -> Trial:
+def open_given(trial: Path, files: TrialFiles) -> Trial:
     """Open a trial with its options; each note is printed once on standard error.
 
     Args:
-        trial: As `path` in `open_trial`.
-        geometry: As in `open_trial`.
-        calibration: As in `open_trial`.
-        unloaded: As in `open_trial`.
-        load_cell: As in `open_trial`.
-        tare: As in `open_trial`.
+        trial: Folder of the trial.
+        files: How it is opened; `OpenOptions` have unloaded spans, too.
     """
-    spans = parse_unloaded([*unloaded])
-    return Trial(trial, geometry, calibration, cache(print_note), spans, load_cell, tare)
+    spans = parse_unloaded([*files.unloaded]) if isinstance(files, OpenOptions) else ()
+    return Trial(
+        trial,
+        files.geometry,
+        files.calibration,
+        cache(print_note),
+        spans,
+        files.load_cell,
+        files.tare,
+    )
 
 
-def open_checked(trial: Path, **options: Any) -> Trial:
-    """Open a trial with its options, and report whether its data is good."""
+def open_checked(trial: Path, options: TrialFiles) -> Trial:
+    """Open a trial with its options, and report whether its data is good.
+
+    Args:
+        trial: Folder of the trial.
+        options: Options of a verb: files, and settings of a fit.
+    """
     check_settings(options)
-    opened = open_given(trial, **options)
-    left_out, params = options.get("leave_out"), options.get("params")
-    if left_out is None and params is not None:
-        own = opened.with_channels(opened.estimator).identification.leave_out
-        settings = opened.with_channels(estimator_settings(opened.estimator, Path(params)))
-        stated = settings.identification.leave_out
-        left_out = None if stated == own else stated
-    report_data(opened, leave_out=left_out)
+    opened = open_given(trial, options)
+    report_data(opened, leave_out=left_out(opened, options))
     return opened
+
+
+def left_out(trial: Trial, options: Options) -> Sequence[str] | None:
+    """The channels that a verb leaves out of a trial; None for those of the trial's settings.
+
+    Args:
+        trial: The opened trial.
+        options: Options of the verb: `leave_out`, or `params` with a file of settings.
+    """
+    stated: Sequence[str] | None = getattr(options, "leave_out", None)
+    params: Path | None = getattr(options, "params", None)
+    if stated is not None or params is None:
+        return stated
+    own = trial.with_channels(trial.estimator).identification.leave_out
+    with_file = trial.with_channels(estimator_settings(trial.estimator, params))
+    of_file = with_file.identification.leave_out
+    return None if of_file == own else of_file
 
 
 def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None = None) -> str:
@@ -109,26 +120,26 @@ def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None
     return found[0].removeprefix("data: ")
 
 
-def check_settings(options: Mapping[str, Any]) -> None:
+def check_settings(options: Options) -> None:
     """Refuse settings of a fit that are wrong for any trial, before one is read."""
-    settings = given(options, estimator_settings, IdentificationSettings)
-    estimator_settings(EstimatorSettings(), **settings)
+    choices = given(options, IdentificationSettings)
+    estimator_settings(EstimatorSettings(), getattr(options, "params", None), **choices)
 
 
-def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
+def open_all(paths: Sequence[Path], files: TrialFiles) -> list[Trial]:
     """The trials at some paths, whose notes name them.
 
     Args:
         paths: Folders of trials; a folder of several stands for all trials in it.
-        options: Options of a verb, of which those of `open_given` count.
+        files: How they are opened.
     """
 
     def named(trial: Trial) -> Callable[[str], None]:
         own = f"{trial.name}: "
         return cache(lambda note: print_note(note if note.startswith(own) else own + note))
 
-    found = [path for given in paths for path in find_trials(given, print_note).values() or [given]]
-    trials = [open_given(path, **options) for path in found]
+    found = [each for path in paths for each in find_trials(path, print_note).values() or [path]]
+    trials = [open_given(path, files) for path in found]
     return [dataclasses.replace(trial, notify=named(trial)) for trial in trials]
 
 
@@ -172,38 +183,43 @@ def draw(
     *,
     width: Literal[88, 180] = 180,
     title: bool = True,
-    **others: Any,
 ) -> None:
     """Draw a result if `figure` is given.
 
     Args:
-        figure: Draw the results as .png, .pdf or .svg.
-        width: Printed width of figures [mm]: one column of a paper, or the full page.
-        title: Titles of figures and errors in their keys.
+        found: The result.
+        figure: The picture; None for none.
+        width: Its printed width [mm].
+        title: Whether it has titles, and errors in its keys.
     """
     if figure is not None:
         found.draw(figure, width=width, title=title)
 
 
-@takes("commands.options.open_given", "commands.options.draw", "files.check_outputs")
 def deliver(
     found: Shown,
     show: Callable[[Shown], None],
     *,
     output: Path | None = None,
-    figure: Path | None = None,
     json: bool = False,
-    **options: Any,
+    figure: Path | None = None,
+    width: Literal[88, 180] = 180,
+    title: bool = True,
 ) -> None:
     """Write and draw a result as requested, then print it as JSON, or `show` it.
 
     Args:
-        output: Table of the result.
-        json: Print JSON on standard output.
+        found: The result.
+        show: Prints it.
+        output: Its table; None for none.
+        json: Whether to print JSON instead.
+        figure: The picture; None for none.
+        width: Its printed width [mm].
+        title: Whether it has titles, and errors in its keys.
     """
     if output is not None:
         found.save(output)
-    draw(found, figure, **options)
+    draw(found, figure, width=width, title=title)
     if json:
         print(found.to_json())
         return
@@ -214,24 +230,25 @@ def deliver(
 
 def on_trial(
     trial: Path,
-    options: Mapping[str, Any],
+    options: Opened,
     work: Callable[..., Shown],
+    taken: type[Options],
     show: Callable[[Shown], None],
-    *settings: Callable[..., Any],
 ) -> None:
     """Run a function of the API on a trial and deliver its result.
 
     Args:
         trial: Folder of the trial.
-        options: Options of the verb, by name.
-        work: The function; it receives the trial, and its own options and those of `settings`.
+        options: Options of the verb.
+        work: The function; it receives the trial and its options.
+        taken: The class of its options.
         show: Prints the result.
-        settings: Further functions whose options it takes.
     """
-    check_files(options.get("output"), options.get("figure"), replace=options["replace"])
-    opened = open_checked(trial, **options)
-    found = work(opened, **given({**options, "progress": Progress}, work, *settings))
-    deliver(found, show, **options)
+    written = given(options, deliver)
+    replace = getattr(options, "replace", False)
+    check_files(written.get("output"), written.get("figure"), replace=replace)
+    opened = open_checked(trial, options)
+    deliver(work(opened, **given(options, taken)), show, **written)
 
 
 def segment_columns(samples: int, segment: Segment) -> Row:
@@ -249,15 +266,15 @@ def segment_columns(samples: int, segment: Segment) -> Row:
     }
 
 
-def check_metadata(options: Mapping[str, Any]) -> TrialMetadata:
+def check_metadata(options: MetadataOptions) -> TrialMetadata:
     """The metadata among the options.
 
     Raises:
         ConfigurationError: A value is wrong; the error names its option.
     """
-    stated = {name: options[name] for name in FIELDS}
+    stated = {name: getattr(options, name) for name in FIELDS}
     try:
-        return change_metadata(TrialMetadata(), stated, options.get("remove", ()))
+        return change_metadata(TrialMetadata(), stated, getattr(options, "remove", ()))
     except ConfigurationError as error:
         raise ConfigurationError(f"--{error.fact}", error.hint) from None
 
@@ -290,11 +307,11 @@ def print_note(note: str) -> None:
 
 
 @dataclass(frozen=True)
-class TrialVerb(Generic[R]):
+class TrialVerb(Generic[Call, R]):
     """A verb that works on one trial, or on all trials of a folder in parallel.
 
-    Its functions are module-level, so that workers can import them; they receive the verb's options
-    by name, including `output`.
+    Its functions are module-level, so that workers can import them; they receive the verb's call,
+    whose output is that of the trial.
 
     Attributes:
         name: The verb.
@@ -307,72 +324,60 @@ class TrialVerb(Generic[R]):
 
     name: str
     suffix: str
-    work: Callable[[Trial, Mapping[str, Any]], R]
+    work: Callable[[Trial, Call], R]
     row: Callable[[R], Row]
-    show: Callable[[R, Mapping[str, Any]], None]
+    show: Callable[[R, Call], None]
     metadata: tuple[str, ...] = ()
 
 
-@takes("commands.options.open_given", exclusive="jobs dask")
-def on_trials(
-    verb: TrialVerb[R],
-    trial: Path,
-    *,
-    output: Path | None = None,
-    jobs: int | None = None,
-    dask: str | None = None,
-    again: bool = False,
-    replace: bool = False,
-    **options: Any,
-) -> None:
-    """For a folder of trials.
+def on_trials(verb: TrialVerb[Call, R], call: Call) -> None:
+    """Run a verb on its trial, or on all trials of its folder.
 
     Args:
-        trial: Folder of the trial, or a folder of trials.
-        output: The output file, or the folder of output files.
-        jobs: Number of parallel trials (default: one per core).
-        dask: Use the workers of a Dask cluster instead, by the address of its scheduler.
-        again: Repeat finished trials.
-        replace: Replace existing outputs.
+        verb: The verb.
+        call: Its call.
 
     Raises:
         ConfigurationError: A folder of trials has no output folder, or an option that needs a
             single trial, or a single trial has one that needs a folder.
     """
-    options |= {"output": output, "replace": replace}
-    json, figure = options.get("json"), options.get("figure")
-    trials = find_trials(trial, print_note)
+    json, figure = getattr(call, "json", False), getattr(call, "figure", None)
+    trials = find_trials(call.trial, print_note)
     if not trials:
-        several = {"jobs": jobs, "dask": dask, "again": again or None}
+        several = {"jobs": call.jobs, "dask": call.dask, "again": call.again or None}
         refuse_given(several, "a folder of trials", "leave it out")
-        check_files(output, figure, replace=replace, table=verb.suffix.endswith(TABLES))
-        found: Any = verb.work(open_checked(trial, **options), {"alone": True, **options})
+        table = verb.suffix.endswith(TABLES)
+        check_files(call.output, figure, replace=call.replace, table=table)
+        found: Any = verb.work(open_checked(call.trial, call), call)
         if json:
             print(found.to_json())
         else:
-            verb.show(found, options)
+            verb.show(found, call)
         return
-    if output is None or json or figure:
+    folder = call.output
+    if folder is None or json or figure:
         raise ConfigurationError(
-            f"{trial} holds {len(trials)} trials",
+            f"{call.trial} holds {len(trials)} trials",
             "give -o FOLDER without --json and --figure, or one trial",
         )
-    check_settings(options)
-    files = {name: path.absolute() for name in _FILES if (path := options.get(name))}
-    opened = {name: open_given(path.absolute(), **options | files) for name, path in trials.items()}
-    planned = plan_jobs(opened, output.absolute(), verb.suffix, files)
-    work = partial(_run_job, verb, {"alone": False, **options})
-    settings = {name: value for name, value in options.items() if name not in _NO_SETTINGS}
+    check_settings(call)
+    chosen = {name: getattr(call, name, None) for name in _FILES}
+    files = {name: path.absolute() for name, path in chosen.items() if path}
+    call = dataclasses.replace(call, alone=False, **files)
+    opened = {name: open_given(path.absolute(), call) for name, path in trials.items()}
+    planned = plan_jobs(opened, folder.absolute(), verb.suffix, files)
+    names = [item.name for item in dataclasses.fields(call) if item.name not in _NO_SETTINGS]
+    settings = {name: getattr(call, name) for name in names}
     metadata = (*verb.metadata, "mass")  # the data check compares the load with it
-    task = Task(verb.name, output, work, settings, metadata, again, replace)
-    if jobs is not None:
-        check_number(jobs, "--jobs", 1)
+    work = partial(_run_job, verb, call)
+    task = Task(verb.name, folder, work, settings, metadata, call.again, call.replace)
+    if call.jobs is not None:
+        check_number(call.jobs, "--jobs", 1)
     report = partial(print, flush=True)
-    run_batch(task, planned, report, say, jobs, dask)
+    run_batch(task, planned, report, say, call.jobs, call.dask)
 
 
-def _run_job(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
-    data = report_data(job.trial, good=False, leave_out=options.get("leave_out"))
-    return {"data": data} | verb.row(
-        verb.work(job.trial, {**options, **job.files, "output": job.output})
-    )
+def _run_job(verb: TrialVerb[Call, R], call: Call, job: Job) -> Row:
+    data = report_data(job.trial, good=False, leave_out=left_out(job.trial, call))
+    own: dict[str, Any] = {**job.files, "output": job.output}
+    return {"data": data} | verb.row(verb.work(job.trial, dataclasses.replace(call, **own)))

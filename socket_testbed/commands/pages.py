@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -16,12 +16,12 @@ from socket_testbed import api
 from socket_testbed.api.comparison import LEGEND, open_compared
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
-from socket_testbed.commands.arguments import takes
+from socket_testbed.commands import calls
+from socket_testbed.commands.calls import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
     deliver,
-    given,
     name_and_value,
     on_trials,
     open_all,
@@ -36,6 +36,11 @@ from socket_testbed.commands.terminal import Progress, say, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
+from socket_testbed.settings.options import (
+    ComparisonOptions,
+    ReportOptions,
+    given,
+)
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import Table
 from socket_testbed.trials.metadata import FIELDS
@@ -49,38 +54,32 @@ _BY_REGION = ("mean pressure", "peak pressure", "share of load")
 _INTERVAL = 0.2  # [s]; between checks of the time
 
 
-@takes(
-    "commands.options.on_trials",
-    "commands.options.draw",
-    "write_report",
-    "fit",
-    without="figure page command variant",  # the paper's variants and the default
-)
-def report(trial: Path, *, output: Path, **options: Any) -> None:
-    """Write a page with a trial's results: figures, errors, data quality.
-
-    Args:
-        output: The page, or the folder of the pages of a folder of trials.
-    """
-    theta_values(options["thetas"])  # a wrong number is reported once
-    options["command"] = typed_command()
+@takes(calls.Report)
+def report(call: calls.Report) -> None:
+    """Write a page with a trial's results: figures, errors, data quality."""
+    theta_values(call.thetas)  # a wrong number is reported once
+    call = dataclasses.replace(call, command=typed_command())
     verb = TrialVerb("report", ".html", _report, _report_row, _show_report, FIELDS)
-    on_trials(verb, trial, output=output, **options)
+    on_trials(verb, call)
 
 
-def _report(trial: Trial, options: Mapping[str, Any]) -> Results:
-    alone = options["alone"]
-    chosen = given(options, api.write_report, api.fit) | {
-        "replace": options["replace"] or not alone,
-        "progress": Progress if alone else None,
-    }
-    return api.write_report(trial, options["output"], **chosen)
+def _report(trial: Trial, call: calls.Report) -> Results:
+    return api.write_report(
+        trial,
+        call.output,
+        **given(call, ReportOptions),
+        width=call.width,
+        title=call.title,
+        command=call.command,
+        replace=call.replace or not call.alone,
+        progress=Progress if call.alone else None,
+    )
 
 
-def _show_report(results: Results, options: Mapping[str, Any]) -> None:
+def _show_report(results: Results, call: calls.Report) -> None:
     from socket_testbed.report.write import files_folder, summarise
 
-    page = options["output"]
+    page = call.output
     for line in summarise(results):
         print(f"- {line}")
     print(f"\nreport in {page}, its figures and data in {files_folder(page)}")
@@ -96,34 +95,24 @@ def _report_row(results: Results) -> Row:
     return row
 
 
-@takes("compare", "commands.options.deliver", without="figure width title")
-def compare(
-    trial: list[Path] | None = None,
-    *,
-    condition: Iterable[str] = (),
-    output: Path | None = None,
-    **options: Any,
-) -> None:
-    """Compare trials side by side, with their differences.
-
-    Args:
-        trial: Two or more trials; a folder of trials stands for all of them.
-        condition: Instead, the repeated trials of a condition, such as gel=trials/gel1,trials/gel2.
-        output: A page (.html), or a table (.csv, .parquet) of all values and differences.
-    """
+@takes(calls.Compare)
+def compare(call: calls.Compare) -> None:
+    """Compare trials side by side, with their differences."""
+    output = call.output
     page = output if output and output.suffix.lower() in PAGES else None
-    check_files(output, replace=options["replace"], table=page is None)
-    trials = open_all(trial or [], options)
-    conditions = {name: open_all(paths, options) for name, paths in _conditions(condition).items()}
+    check_files(output, replace=call.replace, table=page is None)
+    trials = open_all(call.trial or [], call)
+    named = _conditions(call.condition)
+    conditions = {name: open_all(paths, call) for name, paths in named.items()}
     for each in open_compared(trials, conditions)[0]:  # wrong calls fail before data is read
         report_data(each)
     found = api.compare(
-        *trials, conditions=conditions, **given(options, api.compare), progress=Progress
+        *trials, conditions=conditions, **given(call, ComparisonOptions), progress=Progress
     )
     if page is not None:
         api.write_comparison(found, page, typed_command())
-    deliver(found, _show_comparison, output=None if page else output, **options)
-    if page is not None and not options["json"]:
+    deliver(found, _show_comparison, output=None if page else output, json=call.json)
+    if page is not None and not call.json:
         print(f"\nwritten: {page}")
 
 
@@ -159,61 +148,47 @@ def _print(title: str, cells: pd.DataFrame) -> None:
     print(f"\n{title}\n\n{text_of(Table('', '', cells))}")
 
 
-@takes("commands.options.open_given", "view", without="unloaded names")
-def view(
-    trial: Path | None = None,
-    *,
-    namespace: str | None = None,
-    duration: float | None = None,
-    host: str = ViewSettings.host,
-    port: int = ViewSettings.port,
-    allow_host: Iterable[str] = (),
-    buttons: bool = False,
-    model: Path | None = None,
-    **options: Any,
-) -> None:
-    """View the running testbed, or play a trial, in a browser: pressure map, wrench, sensors.
-
-    Args:
-        trial: Folder of a trial to play; without one the running testbed is shown.
-        namespace: Namespace of the running testbed (default: /).
-        duration: Stop after this time [s].
-        allow_host: As `names` in `view`.
-        model: A model written by 'fit', to show its predicted wrench.
-        buttons: Allow the buttons (tare, record, ...) even where other machines see the page.
-    """
+@takes(calls.View)
+def view(call: calls.View) -> None:
+    """View the running testbed, or play a trial, in a browser: pressure map, wrench, sensors."""
+    duration, names = call.duration, tuple(call.allow_host)
     if duration is not None:
         check_number(duration, "--duration", 0.1, 1e6)
     ends = time.monotonic() + (duration or math.inf)
-    served: dict[str, Any] = {"host": host, "port": port, "names": tuple(allow_host)}
-    if trial is None:
-        options["model"] = model
-        _follow(ViewSettings(**served, buttons=buttons), namespace, ends, options)
+    if call.trial is None:
+        _follow(call, ends)
         return
-    live = {"namespace": namespace, "buttons": buttons or None}
+    live = {"namespace": call.namespace, "buttons": call.buttons or None}
     refuse_given(live, "the running testbed", "leave out the trial")
-    opened = open_given(trial, **options)
+    opened = open_given(call.trial, call)
     report_data(opened)
-    with api.view(opened, model, **served) as page:
+    with api.view(opened, call.model, host=call.host, port=call.port, names=names) as page:
         say(f"the trial is shown at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             while time.monotonic() < ends:
                 time.sleep(_INTERVAL)
 
 
-def _follow(
-    settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
-) -> None:
+def _follow(call: calls.View, ends: float) -> None:
     """Serve the page of the running testbed until a time [s]."""
-    for_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
+    for_trials = {
+        "model": call.model,
+        "calibration": call.calibration,
+        "load_cell": call.load_cell,
+        "tare": call.tare,
+    }
     refuse_given(for_trials, "a trial", "give the folder of the trial")
-    if options["geometry"] is not None:
-        settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
+    settings = ViewSettings(
+        host=call.host, port=call.port, names=tuple(call.allow_host), buttons=call.buttons
+    )
+    if call.geometry is not None:
+        settings = dataclasses.replace(settings, geometry=str(call.geometry.resolve()))
     from socket_testbed.pages.server import listen
 
     listen(settings.host, settings.port).close()  # fails before any node starts
+    namespace = full_namespace(call.namespace or "")
     with Graph() as graph:
-        graph.start("view_node", settings, namespace=full_namespace(namespace or ""))
+        graph.start("view_node", settings, namespace=namespace)
         say("Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             graph.watch(lambda: time.monotonic() >= ends, say)

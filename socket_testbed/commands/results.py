@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import pandas as pd
 
@@ -14,13 +14,14 @@ from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
 from socket_testbed.api.cycles import MAX_PANELS
 from socket_testbed.batch import Row
-from socket_testbed.commands.arguments import takes
+from socket_testbed.commands import calls
+from socket_testbed.commands.calls import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
     deliver,
     draw,
-    given,
+    left_out,
     on_trial,
     on_trials,
     open_all,
@@ -40,6 +41,16 @@ from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.results.pressure import TILE_TITLES
 from socket_testbed.results.pressure_text import cells, limb_cells
 from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.settings.options import (
+    EvaluationOptions,
+    FitOptions,
+    FrontOptions,
+    MapOptions,
+    PaperOptions,
+    PressureOptions,
+    ValidationOptions,
+    given,
+)
 from socket_testbed.tables import Table
 from socket_testbed.trials.trial import Trial
 
@@ -52,28 +63,26 @@ _FRONT_LEGEND = (
 )
 
 
-@takes("commands.options.on_trials", "fit")
-def fit(trial: Path, *, output: Path, **options: Any) -> None:
+@takes(calls.Fit)
+def fit(call: calls.Fit) -> None:
     """Identify the contact model on a trial, or on every trial of a folder.
-
-    Args:
-        output: File of the model, or the folder of the models of a folder of trials.
 
     Raises:
         ConfigurationError: The output has the suffix of a table, a page or a picture.
     """
-    if output.suffix.lower() in (*TABLES, *PAGES, *PICTURES):
-        raise ConfigurationError(f"{output}: a model is not a {output.suffix}", "name a .json")
-    on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), trial, output=output, **options)
+    suffix = call.output.suffix
+    if suffix.lower() in (*TABLES, *PAGES, *PICTURES):
+        raise ConfigurationError(f"{call.output}: a model is not a {suffix}", "name a .json")
+    on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), call)
 
 
-def _fit(trial: Trial, options: Mapping[str, Any]) -> TrialFit:
-    found = api.fit(trial, **given(options, api.fit))
-    found.save(options["output"])
+def _fit(trial: Trial, call: calls.Fit) -> TrialFit:
+    found = api.fit(trial, **given(call, FitOptions))
+    found.save(call.output)
     return found
 
 
-def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
+def _show_fit(found: TrialFit, call: calls.Fit) -> None:
     fit, model, settings = found.fit, found.fit.model, found.fit.settings
     size = model.stiffness.size
     count = f"{fit.samples} of {len(found.trial.samples())} samples"
@@ -100,7 +109,7 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     )
     for excitation in motion.excitations:
         print(f"  {excitation}")
-    print(f"\nmodel in {options['output']}")
+    print(f"\nmodel in {call.output}")
 
 
 def _fit_row(found: TrialFit) -> Row:
@@ -124,32 +133,26 @@ def _fit_row(found: TrialFit) -> Row:
     }
 
 
-@takes("commands.options.on_trials", "evaluate")
-def evaluate(trial: Path, *, model: Path, json: bool = False, **options: Any) -> None:
-    """Compute a model's errors on a trial, or on every trial of a folder.
-
-    Args:
-        model: A model written by 'fit'; for a folder of trials, also the folder of their models.
-        output: JSON file of the errors; for a folder of trials, the folder of these files.
-        json: Print JSON on standard output.
-    """
-    if not model.is_dir():
-        api.read_model(model)  # an invalid model is reported once
-    metadata = ("side",) if options["pressure"] else ()  # the regions depend on the side
+@takes(calls.Evaluate)
+def evaluate(call: calls.Evaluate) -> None:
+    """Compute a model's errors on a trial, or on every trial of a folder."""
+    if not call.model.is_dir():
+        api.read_model(call.model)  # an invalid model is reported once
+    metadata = ("side",) if call.pressure else ()  # the regions depend on the side
     verb = TrialVerb(
         "evaluate", ".errors.json", _evaluate, _evaluation_row, _show_evaluation, metadata
     )
-    on_trials(verb, trial, model=model, json=json, **options)
+    on_trials(verb, call)
 
 
-def _evaluate(trial: Trial, options: Mapping[str, Any]) -> Evaluation:
-    found = api.evaluate(trial, **given(options, api.evaluate))
-    if options["output"] is not None:
-        found.save(options["output"])
+def _evaluate(trial: Trial, call: calls.Evaluate) -> Evaluation:
+    found = api.evaluate(trial, call.model, **given(call, EvaluationOptions))
+    if call.output is not None:
+        found.save(call.output)
     return found
 
 
-def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
+def _show_evaluation(found: Evaluation, call: calls.Evaluate) -> None:
     print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(f"model {found.model.model.variant} of {found.model.trial}\n")
     print(errors_table(found.errors))
@@ -171,26 +174,15 @@ def _evaluation_row(found: Evaluation) -> Row:
     }
 
 
-@takes(
-    "validate",
-    "fit",
-    "commands.options.deliver",
-    without="unloaded variant frames initial_stiffness",
-)
-def validate(trial: list[Path], **options: Any) -> None:
-    """Judge estimates on held-out data, against simple rivals.
-
-    Args:
-        trial: Trials, or folders of trials, of one socket.
-        output: Table with a row per trial, for a study.
-        figure: Draw the errors by cluster and the coverage of the intervals.
-    """
-    check_files(options["output"], options["figure"], replace=options["replace"])
-    trials = open_all(trial, options)
+@takes(calls.Validate)
+def validate(call: calls.Validate) -> None:
+    """Judge estimates on held-out data, against simple rivals."""
+    check_files(call.output, call.figure, replace=call.replace)
+    trials = open_all(call.trial, call)
     for each in trials:
-        report_data(each, leave_out=options.get("leave_out"))
-    found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
-    deliver(found, _show_validation, **options)
+        report_data(each, leave_out=left_out(each, call))
+    found = api.validate(*trials, **given(call, ValidationOptions), progress=Progress)
+    deliver(found, _show_validation, **given(call, deliver))
 
 
 def _show_validation(found: api.Validation) -> None:
@@ -208,15 +200,11 @@ def _show_validation(found: api.Validation) -> None:
     print(f"\n{textwrap.fill(LEGEND, 100)}")
 
 
-@takes("pareto", "fit", "commands.options.deliver", without="variant theta")  # all of both
-def pareto(trial: Path, **options: Any) -> None:
-    """Trace the trade-off between wrench and clusters over theta.
-
-    Args:
-        output: Table of all solutions.
-        figure: Draw both fronts.
-    """
-    on_trial(trial, options, api.pareto, _show_fronts, api.fit)
+@takes(calls.Pareto)
+def pareto(call: calls.Pareto) -> None:
+    """Trace the trade-off between wrench and clusters over theta."""
+    work = partial(api.pareto, progress=Progress)
+    on_trial(call.trial, call, work, FrontOptions, _show_fronts)
 
 
 def _show_fronts(found: api.Tradeoff) -> None:
@@ -246,10 +234,11 @@ def _describe_front(front: Front) -> str:
     return "\n".join(lines)
 
 
-@takes("paper", "fit", "commands.options.deliver", without="variant figure width title")
-def paper(trial: Path, **options: Any) -> None:
+@takes(calls.Paper)
+def paper(call: calls.Paper) -> None:
     """Run the published pipeline and compare its figures with the published ones."""
-    on_trial(trial, options, api.paper, _show_paper, api.fit)
+    work = partial(api.paper, progress=Progress)
+    on_trial(call.trial, call, work, PaperOptions, _show_paper)
 
 
 def _show_paper(found: PaperTable) -> None:
@@ -312,49 +301,40 @@ def error_columns(
     return {name: finite_or_null(value) for name, value in row.items()}
 
 
-@takes(
-    "commands.options.on_trials",
-    "pressure",
-    "commands.options.deliver",
-    exclusive="over_time cycles",
-)
-def pressure(
-    trial: Path, *, over_time: bool = False, cycles: str | None = None, **options: Any
-) -> None:
+@takes(calls.Pressure)
+def pressure(call: calls.Pressure) -> None:
     """Pressure by region: mean, peak, contact area, time integral, shear, load.
-
-    Args:
-        output: Table of the regions; for a folder of trials, the folder of these tables.
-        over_time: Write a table over time instead: regions and tiles at every sample.
-        cycles: Write and draw means and standard deviations over 0 to 100 % of a cycle instead;
-            cycles run from each event of a label to the next, such as 'stance', or between two
-            labels, such as 'stance:swing'. Usually with --segment all.
-        figure: Draw unrolled maps, mean and at the peak, and regions over time.
 
     Raises:
         ConfigurationError: A table over time is asked for without an output.
     """
-    if over_time and options["output"] is None:
+    if call.over_time and call.output is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
     verb = TrialVerb(
         "pressure", ".pressure.csv", _pressure, _pressure_row, _show_pressure, ("side",)
     )
-    on_trials(verb, trial, over_time=over_time, cycles=cycles, **options)
+    on_trials(verb, call)
 
 
-def _pressure(trial: Trial, options: Mapping[str, Any]) -> TrialPressure:
-    found = api.pressure(trial, **given(options, api.pressure))
-    if options["cycles"] is not None:
-        _bring_to_cycles(found, **options)
+def _pressure(trial: Trial, call: calls.Pressure) -> TrialPressure:
+    found = api.pressure(trial, **given(call, PressureOptions))
+    if call.cycles is not None:
+        _bring_to_cycles(found, call.cycles, output=call.output, **given(call, draw))
         return found
-    if options["output"] is not None:
-        found.save(options["output"], over_time=options["over_time"])
-    draw(found, **options)
+    if call.output is not None:
+        found.save(call.output, over_time=call.over_time)
+    draw(found, **given(call, draw))
     return found
 
 
 def _bring_to_cycles(
-    found: TrialPressure, cycles: str, output: Path | None, **options: Any
+    found: TrialPressure,
+    cycles: str,
+    output: Path | None,
+    *,
+    figure: Path | None = None,
+    width: Literal[88, 180] = 180,
+    title: bool = True,
 ) -> None:
     """Write all outputs normalised to cycles, and draw the mean pressure of the regions."""
     table, to_cycles = found.over_time(), partial(api.cycles, found.trial, by=cycles)
@@ -362,17 +342,18 @@ def _bring_to_cycles(
     say(f"{outputs}\n")
     if output is not None:
         outputs.save(output)
-    if options["figure"] is not None:
+    if figure is not None:
         names = [place.name for place in main_regions(found.places)][-MAX_PANELS:]  # the user's
         shown = [f"{name}.mean pressure [kPa]" for name in names]
-        draw(to_cycles(table[shown], segment=found.segment), **options)
+        drawn = to_cycles(table[shown], segment=found.segment)
+        draw(drawn, figure=figure, width=width, title=title)
 
 
-def _show_pressure(found: TrialPressure, options: Mapping[str, Any]) -> None:
+def _show_pressure(found: TrialPressure, call: calls.Pressure) -> None:
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples")
     print(f"{found.outputs.source}\n")
     print(pressure_tables(found))
-    for path in filter(None, (options["output"], options["figure"])):
+    for path in filter(None, (call.output, call.figure)):
         print(f"\nwritten: {path}")
 
 
@@ -423,15 +404,10 @@ def pressure_columns(found: TrialPressure) -> Row:
     return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}
 
 
-@takes("force_map", "commands.options.deliver", without="json")
-def map(trial: Path, *, output: Path, **options: Any) -> None:
-    """Estimate the force on every tile with its uncertainty, without a fit.
-
-    Args:
-        output: Table of force, pressure and shear on every tile with standard deviations.
-        figure: Draw the mean pressure and its uncertainty.
-    """
-    on_trial(trial, {"output": output, **options}, api.force_map, _show_map)
+@takes(calls.Map)
+def map(call: calls.Map) -> None:
+    """Estimate the force on every tile with its uncertainty, without a fit."""
+    on_trial(call.trial, call, api.force_map, MapOptions, _show_map)
 
 
 def _show_map(found: api.TrialMap) -> None:

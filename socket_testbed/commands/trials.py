@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 from socket_testbed import api
-from socket_testbed.commands.arguments import takes
+from socket_testbed.commands import calls
+from socket_testbed.commands.calls import takes
 from socket_testbed.commands.options import (
     check_metadata,
-    given,
     open_checked,
     open_given,
     print_note,
@@ -19,6 +17,12 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.files import CONFIGURATION_FILES, check_outputs
+from socket_testbed.settings.options import (
+    ExportOptions,
+    MetadataOptions,
+    SimulationOptions,
+    given,
+)
 from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
 from socket_testbed.trials.tares import read_tares, tares_in_words
@@ -28,34 +32,27 @@ from socket_testbed.trials.truth import TRUTH_FILE, read_truth
 _MAX_TIMES = 8  # printed per event label
 
 
-@takes("simulate")
-def simulate(*, output: Path, **options: Any) -> None:
-    """Write a simulated trial with its ground truth.
-
-    Args:
-        output: As `path` in `simulate`.
-    """
-    trial = api.simulate(output, **options, progress=Progress)
+@takes(calls.Simulate)
+def simulate(call: calls.Simulate) -> None:
+    """Write a simulated trial with its ground truth."""
+    trial = api.simulate(call.output, **given(call, SimulationOptions), progress=Progress)
     geometry = trial.geometry
     print(
-        f"{output}: {options['scenario']}, {options['tissue']} tissue,"
-        f" {len(read_truth(trial.path).wrench)} triggers at {options['rate']:g} Hz,"
+        f"{call.output}: {call.scenario}, {call.tissue} tissue,"
+        f" {len(read_truth(trial.path).wrench)} triggers at {call.rate:g} Hz,"
         f" {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
-        f" seed {options['seed']}; truth in {output / TRUTH_FILE}"
+        f" seed {call.seed}; truth in {call.output / TRUTH_FILE}"
     )
 
 
-@takes("annotate")
-def annotate(trial: list[Path], **options: Any) -> None:
-    """Set and show a trial's metadata: subject code, side, socket, liner and more.
-
-    Args:
-        trial: Folders of one or more trials.
-    """
-    check_metadata(options)
-    for path in trial:
-        metadata = api.annotate(api.open_trial(path, notify=print_note), **options)
-        if len(trial) > 1:
+@takes(calls.Annotate)
+def annotate(call: calls.Annotate) -> None:
+    """Set and show a trial's metadata: subject code, side, socket, liner and more."""
+    check_metadata(call)
+    for path in call.trial:
+        opened = api.open_trial(path, notify=print_note)
+        metadata = api.annotate(opened, **given(call, MetadataOptions), remove=call.remove)
+        if len(call.trial) > 1:
             print(f"{path}:")
         print(_metadata(metadata))
 
@@ -69,30 +66,24 @@ def _metadata(metadata: TrialMetadata) -> str:
     return found
 
 
-@takes("commands.options.open_given", "export", "files.check_outputs", without="path force_map")
-def export(
-    trial: Path, *, output: Path, map: bool = False, replace: bool = False, **options: Any
-) -> None:
-    """Write a trial's samples as CSV, Parquet or MAT, or for OpenSim and C3D.
-
-    Args:
-        output: As `path` in `export`.
-        map: As `force_map` in `export`.
-    """
-    check_outputs(output, replace=replace)
-    opened = open_checked(trial, **options)
-    written = api.export(opened, output, force_map=map, **given(options, api.export))
+@takes(calls.Export)
+def export(call: calls.Export) -> None:
+    """Write a trial's samples as CSV, Parquet or MAT, or for OpenSim and C3D."""
+    check_outputs(call.output, replace=call.replace)
+    opened = open_checked(call.trial, call)
+    chosen = given(call, ExportOptions)
+    written = api.export(opened, call.output, force_map=call.map, **chosen)
     segment, rows = written.attrs["segment"], written.attrs["rows"]
-    print(f"{opened.name}: {segment}, {rows}, {len(written.columns)} columns in {output}")
+    print(f"{opened.name}: {segment}, {rows}, {len(written.columns)} columns in {call.output}")
     for note in written.attrs["notes"]:
         print(f"note: {note}")
 
 
-@takes("commands.options.open_given", without="unloaded")
-def info(trial: Path, **options: Any) -> None:
+@takes(calls.Info)
+def info(call: calls.Info) -> None:
     """Show the contents of a trial: topics, rates, gaps, plateau."""
     notify = cache(lambda note: print(f"note: {note}"))  # part of the output
-    opened = dataclasses.replace(open_given(trial, **options), notify=notify)
+    opened = dataclasses.replace(open_given(call.trial, call), notify=notify)
     print(f"{_topics(opened)}\n")
     report_data(opened)
     samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
@@ -105,7 +96,7 @@ def info(trial: Path, **options: Any) -> None:
         print(f"\n{shown.caption}\n\n{text_of(shown)}")
     print(f"\n{_events(opened)}")
     print(f"\n{_metadata(metadata)}\n")
-    stored = [name for name in CONFIGURATION_FILES if (trial / name).is_file()]
+    stored = [name for name in CONFIGURATION_FILES if (call.trial / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
     geometry = opened.geometry
     print(f"socket: {geometry.source or 'not stated'}; {len(geometry)} tiles")

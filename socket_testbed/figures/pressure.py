@@ -19,9 +19,10 @@ from socket_testbed.figures.style import (
 )
 from socket_testbed.figures.tiles import add_key, pressure_limits, tile_map_figure, value_range
 from socket_testbed.geometry.regions import Region, main_regions
-from socket_testbed.geometry.socket import HEIGHTS, SECTORS, Side, SocketGeometry
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import PressureOutputs, Quantity, normal_quantity
+from socket_testbed.settings.options import Side
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 

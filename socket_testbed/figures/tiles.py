@@ -32,8 +32,9 @@ from socket_testbed.figures.style import (
     wrap,
 )
 from socket_testbed.figures.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
-from socket_testbed.geometry.socket import Side, SocketGeometry
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import greyness
+from socket_testbed.settings.options import Side
 
 _TILE = "#A6CBE3"
 _EDGE = "#2B5C7D"

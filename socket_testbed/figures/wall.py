@@ -12,9 +12,10 @@ from scipy.spatial.distance import cdist
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import SocketAxis, socket_axis, wall_tiles
-from socket_testbed.geometry.socket import SECTOR_TURNS, Side, SocketGeometry
+from socket_testbed.geometry.socket import SECTOR_TURNS, SocketGeometry
 from socket_testbed.identification.force_map import matern
 from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.settings.options import Side
 
 STEP = 0.35  # [-]; of the grid, relative to the edge of a tile
 _MAX_DISTANCE = 1.3  # [tile edges]; farther from the nearest tile there is no wall

@@ -17,9 +17,9 @@ from socket_testbed.geometry.socket import (
     SECTOR_TURNS,
     SOCKET,
     UNMEASURED,
-    Side,
     SocketGeometry,
 )
+from socket_testbed.settings.options import Side
 
 _MIN_ALIGNMENT = 0.5  # [-]; cosine between a tile's x axis and the proximal direction
 _FACES_UP = np.sqrt(0.5)  # [-]; z of normals that point up at 45 degrees or more

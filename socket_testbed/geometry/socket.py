@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -29,9 +29,9 @@ from socket_testbed.geometry.pose import (
     pose_document,
     rounded,
 )
+from socket_testbed.settings.options import Side
 
 HEIGHTS = ("proximal", "middle", "distal")
-Side = Literal["left", "right"]
 # Quarter turns about the axis from anterior towards left, by leg.
 SECTOR_TURNS: dict[Side | None, dict[str, int]] = {
     "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},

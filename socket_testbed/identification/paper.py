@@ -16,6 +16,7 @@ from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_e
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, force_magnitude
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
+from socket_testbed.settings.options import PaperOptions
 from socket_testbed.tables import split_unit
 
 MEDIAN = QUOTED["median_local_rmse"]
@@ -44,7 +45,7 @@ PUBLISHED: dict[str, tuple[float, float]] = {
 }
 PUBLISHED_LEFT_OUT = ("distal.Fx", "distal.Fy", "posterior_distal.Fx")
 PUBLISHED_LOAD = 300.0  # [N]; "about"
-PUBLISHED_FRAMES = 1000
+PUBLISHED_FRAMES = PaperOptions.frames
 PUBLISHED_RATE = 4.0  # [Hz]
 PUBLISHED_CHANNELS = 9  # of the clusters in the objective, of 12
 PUBLISHED_SETTINGS = {"weights": "raw", "rest_position_limit": 0.008}

@@ -41,10 +41,12 @@ from socket_testbed.geometry.regions import Region, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap, MapEstimate
 from socket_testbed.samples import Samples
+from socket_testbed.settings.options import PressureOptions
 from socket_testbed.tables import split_unit
 
-THRESHOLD = 5e3  # [Pa]; default for a tile in contact
-SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than this share of it
+THRESHOLD = 1e3 * PressureOptions.threshold  # [Pa]; default for a tile in contact
+# A value is uncertain if its interval reaches farther than this share of it [-].
+SHARE = PressureOptions.share
 # In pictures, full colour up to a ratio of interval reach to value, the greyest from another on.
 # Lower values are treated as `_MIN_GREYED`.
 _FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]

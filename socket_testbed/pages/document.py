@@ -28,7 +28,6 @@ from socket_testbed.geometry.socket import (
     SECTOR_PARTS,
     SOCKET,
     UNMEASURED,
-    Side,
     SocketGeometry,
 )
 from socket_testbed.identification.data_check import DataFinding
@@ -41,6 +40,7 @@ from socket_testbed.identification.pressure import (
     read_column,
 )
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.settings.options import Side
 from socket_testbed.trials.trial import Trial
 
 _INTEGRAL = "pressure-time integral [kPa s]"

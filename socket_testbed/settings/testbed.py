@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError
@@ -21,6 +21,7 @@ from socket_testbed.settings.acquisition import (
 )
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
+    FitChoices,
     ForceMapSettings,
     IdentificationSettings,
     PlateauSettings,
@@ -212,7 +213,7 @@ def read_testbed(
 
 
 def estimator_settings(
-    stored: EstimatorSettings, params: Path | None = None, **choices: Any
+    stored: EstimatorSettings, params: Path | None = None, **choices: Unpack[FitChoices]
 ) -> EstimatorSettings:
     """Settings stored with a trial, or those of a `testbed.yaml`, with overrides.
 
@@ -226,7 +227,7 @@ def estimator_settings(
         ConfigurationError: If the file, a choice, or the name of the solver is wrong.
     """
     settings = stored if params is None else read_testbed(params).estimator_node
-    given = {name: value for name, value in choices.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in choices.items() if value is not None}
     chosen = replace(settings.identification, **given)
     if params is not None or "solver" in given:
         check_solver(chosen.solver)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from scipy.optimize import root
@@ -19,10 +19,9 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import GRAVITY
+from socket_testbed.settings.options import Scenario, TissueKind
 
-Scenario = Literal["static_hold", "ramp", "multi_direction", "protocol"]
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
-TissueKind = Literal["soft", "stiff"]
 TISSUES: tuple[TissueKind, ...] = get_args(TissueKind)
 
 _PYLON_MASS = 9.3  # [kg]; as published

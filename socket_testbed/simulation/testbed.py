@@ -24,9 +24,10 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.files import end_with_starter
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.settings.options import Scenario, SimulationOptions, TissueKind
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
-from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
+from socket_testbed.simulation.limb import LoadedLimb, load_history
 from socket_testbed.simulation.trial import random_streams
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.truth import GroundTruth, save_truth
@@ -53,13 +54,13 @@ class Simulation:
         noise: Noise of the load cell, relative to that of `SensorErrors` [-].
     """
 
-    scenario: Scenario = "static_hold"
+    scenario: Scenario = SimulationOptions.scenario
     period: float = 120.0
-    seed: int = 0
+    seed: int = SimulationOptions.seed
     pace: float = 1.0
     sway: float = 0.0
     time_scale: float = 1.0
-    tissue: TissueKind = "soft"
+    tissue: TissueKind = SimulationOptions.tissue
     noise: float = 1.0
 
     def __post_init__(self) -> None:

@@ -28,9 +28,10 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings, MocapSettings, averaging_span
+from socket_testbed.settings.options import Scenario, TissueKind
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import sensors
-from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
+from socket_testbed.simulation.limb import LoadedLimb, load_history
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.trial import read_configuration, store_configuration
 from socket_testbed.trials.truth import TRUTH_FILE, GroundTruth, save_truth

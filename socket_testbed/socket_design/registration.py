@@ -42,25 +42,6 @@ from socket_testbed.geometry.regions import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.motive import MotiveTake
 
-LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks' coordinates.
-
-    bodies:                # permanent markers of the bodies (3 to 8), named as in the take
-      socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
-      pylon:               # or a rigid body of Motive, 3 to 8 markers; its frame is kept
-        rigid_body: Pylon
-    load_cell:             # landmarks on the load cell or the socket: coordinates in {S} [m]
-      Cell:Marker1: [0.030, 0.0, 0.012]
-      Cell:Marker2: [-0.030, 0.0, 0.012]
-      Cell:Marker3: [0.0, 0.055, 0.040]
-    limb:                  # landmarks on the limb: coordinates in its frame [m], whose origin
-      Limb:Marker1: [0.0, 0.070, 0.10]    # is the lumped mass
-      Limb:Marker2: [0.05, -0.030, 0.12]
-      Limb:Marker3: [-0.06, -0.020, 0.09]
-
-All keys are required; load_cell and limb name three landmarks or more, as in the take.
-With three, or with more in one plane, a wrong sign has no residual: add another off the plane.
-"""
-
 _MIN_LANDMARKS = 3
 _TOO_FEW = f"give {_MIN_LANDMARKS} or more that are not on one line"
 _Names = Annotated[list[Text], Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS)]
@@ -117,7 +98,7 @@ def read_landmarks(path: Path) -> tuple[LandmarkSide, LandmarkSide]:
 
     Raises:
         ConfigurationError: If a marker or landmark is on both sides, or the file is not as in
-            `LANDMARK_FILE_HELP`.
+            `socket-testbed register --help`.
     """
     document = read_document(path, _LandmarkFile)
     sides, named = [], list[set[str]]()

@@ -14,7 +14,7 @@ from msgspec import Meta
 from socket_testbed.documents import convert, plain, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError, closest, naming
 from socket_testbed.files import write_text
-from socket_testbed.geometry.socket import Side
+from socket_testbed.settings.options import Side
 from socket_testbed.settings.testbed import MAX_MASS
 
 METADATA_FILE = "trial.yaml"

@@ -20,11 +20,11 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import force_magnitude
 from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.settings.options import RECORDED
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.segment import parse_span
 from socket_testbed.trials.synchronise import Measurements, marker_count
 
-RECORDED = "recorded"
 NO_TARE = "none"
 _MARKER_TOLERANCE = 1e-6  # [m]
 _WRENCH_TOLERANCE = 1e-6  # [-]; relative to full scale

@@ -26,6 +26,7 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, named_channels
+from socket_testbed.settings.options import RECORDED
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials import reprocess, synchronise
@@ -100,7 +101,7 @@ class Trial:
     notify: Callable[[str], None] | None = None
     unloaded: tuple[tuple[float, float], ...] = ()
     load_cell_file: Path | None = None
-    tare: str = reprocess.RECORDED
+    tare: str = RECORDED
     _kept: _Kept = field(default_factory=_Kept, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -126,7 +127,7 @@ class Trial:
     @property
     def remade(self) -> tuple[topics.Topic, ...]:
         """The raw topics that replace recorded measurements, because files or tare differ."""
-        other_wrenches = self.load_cell_file is not None or self.tare != reprocess.RECORDED
+        other_wrenches = self.load_cell_file is not None or self.tare != RECORDED
         return (topics.LOAD_CELL_RAW,) * other_wrenches + (topics.MARKERS,) * bool(
             self._other_markers
         )

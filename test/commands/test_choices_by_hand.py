@@ -13,11 +13,13 @@ import pytest
 from socket_testbed import api
 from socket_testbed.commands import live, options, pages, results, terminal, trials
 from socket_testbed.commands.arguments import Parser, _help, add_options, release_paths
+from socket_testbed.commands.calls import ConfigurationOptions, Fit
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import packaged
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.live.bringup import Testbed
+from socket_testbed.settings.options import TrialFiles
 from socket_testbed.settings.testbed import TestbedSettings
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.trial import Trial
@@ -69,7 +71,7 @@ def test_notes_of_several_trials_name_them_once(
     monkeypatch.setattr(
         options, "find_trials", lambda path, note: below if path.name == "s01" else {}
     )
-    found = options.open_all([tmp_path / "c", tmp_path / "s01"], {"tare": "none"})
+    found = options.open_all([tmp_path / "c", tmp_path / "s01"], TrialFiles(tare="none"))
     assert [trial.name for trial in found] == ["c", "a", "b"]
     assert {trial.tare for trial in found} == {"none"}
     for note in ("late", "a: wet", "late"):
@@ -170,7 +172,7 @@ def test_nominal_bodies_of_hardware_are_noted(
     monkeypatch.setattr(live.bringup, "testbed_files", lambda *given: files)
     socket = SimpleNamespace(registration=registration, bodies="they are nominal")
     monkeypatch.setattr(live, "read_socket", lambda path: socket)
-    found = live.configured(simulation)
+    found = live.configured(simulation, ConfigurationOptions())
     assert isinstance(found, Testbed) and (found.geometry, found.calibration) == files
     told = f"note: {files[0]}: they are nominal\n" if noted else ""
     assert capsys.readouterr().err == told
@@ -233,10 +235,10 @@ def test_an_export_says_what_it_wrote(
 ) -> None:
     table = pd.DataFrame(np.zeros((4, 3)))
     table.attrs = {"segment": "hold 1.00 s to 2.00 s", "rows": "4 samples", "notes": ("no mocap",)}
-    monkeypatch.setattr(trials, "open_checked", lambda trial, **given: Trial(trial))
+    monkeypatch.setattr(trials, "open_checked", lambda trial, options: Trial(trial))
     asked: list[Any] = []
 
-    def export(trial: Any, output: Path, *, force_map: bool, pressure: bool = False) -> Any:
+    def export(trial: Any, output: Path, *, force_map: bool, pressure: bool, **others: Any) -> Any:
         asked.append((force_map, pressure))
         return table
 
@@ -279,16 +281,15 @@ def test_cycles_show_the_last_of_the_regions(monkeypatch: pytest.MonkeyPatch) ->
 # --- the help
 
 TEXTS: dict[str, tuple[str, Any, str]] = {
-    "whether to": ("Whether to draw it.", False, "draw it"),
-    "whether": ("Whether it is drawn.", False, "it is drawn"),
-    "article": ("A file of 50 % or more.", None, "a file of 50 %% or more"),
-    "name": ("STL file.", None, "STL file"),
-    "code": ("As `x` in it, see `fit` [-].", 3, "as x in it (default: 3)"),
-    "number": ("Weight [-].", 0.25, "weight (default: 0.25)"),
-    "small": ("Weight.", 1e-3, "weight (default: 0.001)"),
-    "own": ("Weight (default: the usual one).", 0.5, "weight (default: the usual one)"),
-    "empty": ("Names.", (), "names"),
-    "text": ("Segment.", "plateau", "segment (default: plateau)"),
+    "switch": ("draw it", False, "draw it"),
+    "per cent": ("a file of 50 % or more", None, "a file of 50 %% or more"),
+    "number": ("weight [-]", 0.25, "weight (default: 0.25)"),
+    "count": ("samples; 0: all [1]", 0, "samples; 0: all (default: 0)"),
+    "unit": ("length [s]", 2.0, "length [s] (default: 2)"),
+    "small": ("weight", 1e-3, "weight (default: 0.001)"),
+    "own": ("weight (default: the usual one)", 0.5, "weight (default: the usual one)"),
+    "empty": ("names", (), "names"),
+    "text": ("segment", "plateau", "segment (default: plateau)"),
 }
 
 
@@ -319,7 +320,7 @@ def test_a_path_behind_a_list_is_the_trial(words: list[str], moved: list[str]) -
 
 def test_options_of_several_trials_have_their_heading() -> None:
     parser = Parser()
-    add_options(parser, "commands.results.fit")
+    add_options(parser, Fit)
     groups = {group.title: group for group in parser._action_groups}
     several = {action.dest for action in groups["for a folder of trials"]._group_actions}
     assert {"jobs", "dask", "again"} <= several and "theta" not in several

@@ -15,8 +15,10 @@ import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
 from socket_testbed.commands import demo
 from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.commands.calls import CALLS
 from socket_testbed.live.scheduling import MachineSpeed
-from socket_testbed.trials.reprocess import NO_TARE, RECORDED
+from socket_testbed.settings.options import RECORDED
+from socket_testbed.trials.reprocess import NO_TARE
 from socket_testbed.trials.segment import NAMED
 from socket_testbed.trials.trial import Trial
 
@@ -31,7 +33,7 @@ def test_every_verb_explains_its_options(verb: str, capsys) -> None:
     assert ended.value.code == 0 and f"socket-testbed {verb} " in out
     words = {"--segment": "|".join(NAMED), "--tare": f"|{NO_TARE}|{RECORDED}"}
     assert all(words[name] in out for name in words if f"[{name} " in out)
-    add_options(parser := Parser(), f"commands.{VERBS[verb]}.{verb}")
+    add_options(parser := Parser(), CALLS[verb])
     options = {action.dest: action.help for action in parser._actions}
     assert all(options.values()), options
     if options.keys() & {"output", "figure"} and verb not in {"simulate", "demo"}:

@@ -14,10 +14,12 @@ from socket_testbed.calibration.drift import Drift
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.commands import demo, design, live, mark, options, pages, results, trials
 from socket_testbed.commands.arguments import Parser
+from socket_testbed.commands.calls import Fit, Pressure, SimulatedOptions
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.settings.options import MetadataOptions
 from socket_testbed.trials.metadata import TrialMetadata
 
 SCAN, OUT = Path("scan.stl"), Path("socket.yaml")
@@ -26,6 +28,7 @@ CLUSTERS: Any = SimpleNamespace(
 )
 FILES = {"geometry": None, "calibration": None, "load_cell": None, "tare": "recorded"}
 NO_TESTBED: Any = None
+FOLDER: Any = None  # a verb that does not begin
 
 REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
     "unknown fault": (
@@ -55,11 +58,11 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
         " number of the cluster, from 1, whose chip does not answer (EREMOTEIO)",
     ),
     "scenario": (
-        lambda: live.simulated(scenario="ramp"),
+        lambda: live.simulated(SimulatedOptions(scenario="ramp")),
         "--scenario is for simulated hardware: add --simulated",
     ),
     "period": (
-        lambda: live.simulated(simulated=True, period=4.0),
+        lambda: live.simulated(SimulatedOptions(simulated=True, period=4.0)),
         "--period is 4.0: give a number from 5 to 3600",
     ),
     "time scale": (
@@ -144,11 +147,11 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
         "--condition: 'gel' is not NAME=VALUE: write it as gel=trials/gel1,trials/gel2",
     ),
     "jobs of a trial": (
-        lambda: options.on_trials(NO_TESTBED, Path("nowhere"), jobs=2),
+        lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), jobs=2)),
         "--jobs is for a folder of trials: leave it out",
     ),
     "repetition of a trial": (
-        lambda: options.on_trials(NO_TESTBED, Path("nowhere"), again=True),
+        lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), again=True)),
         "--again is for a folder of trials: leave it out",
     ),
 }
@@ -194,7 +197,7 @@ def test_a_wrong_word_has_this_line(
 def test_a_folder_of_trials_needs_a_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(options, "find_trials", lambda folder, note: {"a": 1, "b": 2, "c": 3})
     with pytest.raises(ConfigurationError) as found:
-        options.on_trials(NO_TESTBED, Path("study"), output=tmp_path, json=True)
+        options.on_trials(FOLDER, Pressure(Path("study"), output=tmp_path, json=True))
     assert str(found.value) == (
         "study holds 3 trials: give -o FOLDER without --json and --figure, or one trial"
     )
@@ -447,7 +450,7 @@ def test_a_fit_prints_its_warnings(capsys: pytest.CaptureFixture[str]) -> None:
         trial=SimpleNamespace(name="s01", samples=lambda: range(96)),
         motion=lambda: SimpleNamespace(directions=2, excitations=("position z: 3 mm",)),
     )  # fmt: skip
-    results._show_fit(found, {"output": Path("m.json")})
+    results._show_fit(found, Fit(Path("s01"), output=Path("m.json")))
     lines = capsys.readouterr().out.splitlines()
     assert lines[:5] == [
         "s01: hold 10.00 s to 20.00 s, 41 of 96 samples",
@@ -555,7 +558,7 @@ def test_missing_metadata_say_how_to_state_them() -> None:
 def test_wrong_metadata_name_their_option() -> None:
     wrong = dict.fromkeys(options.FIELDS) | {"mass": -1.0}
     with pytest.raises(TestbedError) as found:
-        options.check_metadata(wrong)
+        options.check_metadata(MetadataOptions(**wrong))
     assert str(found.value).startswith("--mass is -1.0: give a number")
 
 
@@ -572,7 +575,7 @@ def test_a_shown_trial_says_where(
             """Nothing was opened."""
 
     asked: list[Any] = []
-    monkeypatch.setattr(pages, "open_given", lambda trial, **given: trial)
+    monkeypatch.setattr(pages, "open_given", lambda trial, options: trial)
     monkeypatch.setattr(pages, "report_data", lambda trial: "")
     monkeypatch.setattr(api, "view", lambda *given, **at: asked.append((given, at)) or Page())
     monkeypatch.setattr(pages, "_INTERVAL", 0.01)

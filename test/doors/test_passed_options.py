@@ -20,6 +20,7 @@ from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import evaluate
 from socket_testbed.report import quality, write
 from socket_testbed.report import results as report_results
+from socket_testbed.settings.options import TrialFiles
 from socket_testbed.trials.trial import Trial
 
 
@@ -149,8 +150,7 @@ def test_outliers_have_their_fate(dropped: bool, fate: str) -> None:
 def test_notes_name_their_trial_once(
     scene_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = {"geometry": None, "calibration": None, "load_cell": None, "tare": "recorded"}
-    (opened,) = options.open_all([scene_folder], given)
+    (opened,) = options.open_all([scene_folder], TrialFiles())
     opened.note("is odd")
     opened.note("scene: no side is stated")
     assert capsys.readouterr().err.splitlines() == [

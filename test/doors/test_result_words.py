@@ -15,6 +15,7 @@ import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.api.comparison import Comparison, values_table
 from socket_testbed.commands import options, pages, results
+from socket_testbed.commands.calls import Fit
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.differences import Conditions
 from socket_testbed.identification.fit import ChannelErrors, evaluate
@@ -77,7 +78,7 @@ def test_a_solution_that_is_not_unique_is_told(
     judged = evaluate(trial.samples(), made.model)
     made = replace(made, stage_one=next(stages), stage_two=next(stages), errors=judged)
     found = api.TrialFit(trial, trial.select("all"), made)
-    results._show_fit(found, {"output": "model.json"})
+    results._show_fit(found, Fit(Path("s01"), output=Path("model.json")))
     assert ("warning: the solution is not unique" in capsys.readouterr().out) is warned
 
 

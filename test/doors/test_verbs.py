@@ -4,7 +4,7 @@ import functools
 import io
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,10 +19,12 @@ from support.clocks import FakeClock
 from socket_testbed import api
 from socket_testbed.__main__ import run
 from socket_testbed.commands import demo, live, options, pages, terminal, trials
+from socket_testbed.commands.calls import BatchOptions, Report, SimulatedOptions
 from socket_testbed.commands.terminal import Progress, decimals, fitted, status_parts, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.fit import ChannelErrors, evaluate, predictions
 from socket_testbed.live.graph_status import GraphStatus
+from socket_testbed.settings.options import option
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment
@@ -193,10 +195,17 @@ def test_a_wrong_fault_is_refused(word: str) -> None:
 
 def test_simulated_hardware_is_as_stated() -> None:
     found, faults = live.simulated(
-        simulated=True, scenario="ramp", period=30.0, tissue="stiff", seed=4, fault=["limb.out=2"]
+        SimulatedOptions(
+            simulated=True,
+            scenario="ramp",
+            period=30.0,
+            tissue="stiff",
+            seed=4,
+            fault=["limb.out=2"],
+        )
     )
     assert found == Simulation("ramp", 30.0, 4, tissue="stiff") and faults == {"limb.out": 2.0}
-    assert live.simulated() == (None, {})
+    assert live.simulated(SimulatedOptions()) == (None, {})
 
 
 @pytest.mark.parametrize(
@@ -214,7 +223,7 @@ def test_simulated_hardware_is_as_stated() -> None:
 )
 def test_options_of_simulated_hardware_are_checked(given: dict[str, Any], option: str) -> None:
     with pytest.raises(ConfigurationError, match=f"{option} is"):
-        live.simulated(**given)
+        live.simulated(SimulatedOptions(**given))
 
 
 @pytest.mark.parametrize(
@@ -508,12 +517,14 @@ def test_a_report_of_many_replaces_and_is_silent(
 
     monkeypatch.setattr(api, "write_report", write_report)
     trial: Any = None
-    given = {"alone": alone, "replace": replace, "output": Path("a.html"), "thetas": 7, "jobs": 2}
+    given = Report(
+        Path("s01"), alone=alone, replace=replace, output=Path("a.html"), thetas=7, jobs=2
+    )
     pages._report(trial, given)
-    assert made == {
+    assert "jobs" not in made and made.items() >= {
         "page": Path("a.html"), "thetas": 7, "replace": replaced,
         "progress": Progress if alone else None,
-    }  # fmt: skip
+    }.items()  # fmt: skip
 
 
 # --- a folder of trials
@@ -530,6 +541,16 @@ def batch(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ..
     return asked
 
 
+@dataclass(frozen=True, kw_only=True)
+class Judge(BatchOptions):
+    """Options of a verb that judges trials."""
+
+    threshold: float = option(0.5, "threshold [-]")
+    params: Path | None = option(None, "settings")
+    json: bool = option(False, "print JSON")
+    figure: Path | None = option(None, "draw it")
+
+
 VERB: Any = options.TrialVerb("judge", ".judged.csv", None, None, None, ("side",))  # type: ignore[arg-type]
 
 
@@ -540,14 +561,15 @@ def test_a_batch_is_done_as_stated(
     again: bool, replace: bool, batch: list[Any], tmp_path: Path
 ) -> None:
     """Outputs depend on settings and stated metadata, not on files or options of the output."""
-    options.on_trials(
-        VERB, tmp_path, output=tmp_path / "out", jobs=2, again=again, replace=replace,
-        theta=0.25, params=None,
-    )  # fmt: skip
+    call = Judge(
+        tmp_path, output=tmp_path / "out", jobs=2, again=again, replace=replace, threshold=0.25
+    )
+    options.on_trials(VERB, call)
     ((task, (opened, output, suffix, files), _, _, jobs, dask),) = batch
     assert (task.verb, task.folder) == ("judge", tmp_path / "out")
     assert (task.again, task.replace) == (again, replace)
-    assert task.settings == {"theta": 0.25} and task.metadata == ("side", "mass")
+    usual = {"tare": "recorded", "unloaded": ()}
+    assert task.settings == usual | {"threshold": 0.25} and task.metadata == ("side", "mass")
     assert [*opened] == ["a", "b"] and opened["b"].path == tmp_path / "b"
     assert (output, suffix, files) == (tmp_path / "out", ".judged.csv", {})
     assert (jobs, dask) == (2, None)
@@ -563,7 +585,7 @@ def test_a_folder_has_a_folder_of_outputs(
     choices: dict[str, Any], batch: list[Any], tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigurationError):
-        options.on_trials(VERB, tmp_path, **_paths(choices))
+        options.on_trials(VERB, Judge(tmp_path, **_paths(choices)))
     assert not batch
 
 
@@ -580,16 +602,16 @@ def test_a_trial_has_no_options_of_folders(
     monkeypatch.setattr(options, "find_trials", lambda folder, note: {})
     value: dict[str, Any] = {"jobs": 2, "dask": "tcp://a:1", "again": True}
     with pytest.raises(ConfigurationError, match=f"--{option} is for a folder of trials"):
-        options.on_trials(VERB, tmp_path, **{option: value[option]})
+        options.on_trials(VERB, Judge(tmp_path, **{option: value[option]}))
 
 
 def test_a_job_s_row_begins_with_its_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """And the work is given the output of the job."""
     monkeypatch.setattr(options, "report_data", lambda trial, good, leave_out: "fine")
     verb: Any = SimpleNamespace(
-        work=lambda trial, given: (trial, given["output"], given["theta"]),
+        work=lambda trial, given: (trial, given.output, given.params),
         row=lambda found: {"found": found},
     )
-    job: Any = SimpleNamespace(trial="t", files={"theta": 1.0}, output="own")
-    row = options._run_job(verb, {"output": "folder", "theta": 0.5}, job)
-    assert row == {"data": "fine", "found": ("t", "own", 1.0)} and next(iter(row)) == "data"
+    job: Any = SimpleNamespace(trial="t", files={"params": "its"}, output="own")
+    row = options._run_job(verb, Judge(Path("study"), output=Path("folder")), job)
+    assert row == {"data": "fine", "found": ("t", "own", "its")} and next(iter(row)) == "data"

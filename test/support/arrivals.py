@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from socket_testbed.__main__ import VERBS, run
+from socket_testbed.__main__ import run
 from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.commands.calls import CALLS
 from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.segment import Segment, select_segment
@@ -163,6 +164,6 @@ def joined(verb: str, *options: Mapping[str, str]) -> list[str]:
 
 def defaults_of_verb(verb: str) -> dict[str, Any]:
     """The options that a verb's parser knows, with their defaults; an empty list is None."""
-    add_options(parser := Parser(), f"commands.{VERBS[verb]}.{verb}")
+    add_options(parser := Parser(), CALLS[verb])
     actions = [action for action in parser._actions if action.dest != "help"]
     return {action.dest: None if action.default == [] else action.default for action in actions}

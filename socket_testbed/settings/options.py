@@ -1,0 +1,498 @@
+"""Options that functions of the API and verbs of the command line share.
+
+Each option stands once, as a field: its type, its default, and its text for a reader of `--help`.
+Signatures of the API take their defaults from here, and the command line is made of these fields.
+Nothing here imports an array library, so that `--help` and wrong calls stay quick.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
+from socket_testbed.settings.testbed import ViewSettings
+
+Side = Literal["left", "right"]
+Scenario = Literal["static_hold", "ramp", "multi_direction", "protocol"]
+TissueKind = Literal["soft", "stiff"]
+
+RECORDED = "recorded"  # the tare that a trial was recorded with
+
+
+def option(
+    default: Any, text: str, *, metavar: str = "", either: str = "", shown: Any = MISSING
+) -> Any:
+    """A field that is an option of the command line.
+
+    Args:
+        default: The value if it is not given; `MISSING` for an option that must be given.
+        text: What it is, for the help, with the unit in brackets.
+        metavar: What stands for the value in the help; empty for the unit or the name.
+        either: A word that this option shares with those that it excludes; empty for none.
+        shown: The default that the help states, where `default` stands for another.
+    """
+    metadata = {"text": text, "metavar": metavar, "either": either}
+    metadata["shown"] = default if shown is MISSING else shown
+    return field(default=default, metadata=metadata)
+
+
+def required(text: str, *, metavar: str = "") -> Any:
+    """A field that is an option which must be given.
+
+    Args:
+        text: What it is, for the help, with the unit in brackets.
+        metavar: What stands for the value in the help; empty for the unit or the name.
+    """
+    return option(MISSING, text, metavar=metavar)
+
+
+def several(text: str, *, metavar: str = "") -> Any:
+    """A field that is an option with any number of values, by default none.
+
+    Args:
+        text: What it is, for the help, with the unit in brackets.
+        metavar: What stands for a value in the help; empty for the unit or the name.
+    """
+    return option((), text, metavar=metavar)
+
+
+def argument(text: str, default: Any = MISSING) -> Any:
+    """A field that is a positional argument of the command line.
+
+    Args:
+        text: What it is, for the help.
+        default: The value if it is not given; `MISSING` for an argument that must be given.
+    """
+    metadata = {"text": text, "shown": None, "positional": True}
+    return field(default=default, metadata=metadata, kw_only=False)
+
+
+def internal(default: Any, text: str) -> Any:
+    """A field that a verb sets itself, and that is no option.
+
+    Args:
+        default: Its value at first.
+        text: What it is.
+    """
+    return field(default=default, metadata={"text": text, "internal": True})
+
+
+def setting_of_fit(name: str, metavar: str = "") -> Any:
+    """An option that overrides a field of `IdentificationSettings`; None keeps the trial's own.
+
+    Its text and the default in its help are those of the field.
+
+    Args:
+        name: The field.
+        metavar: What stands for the value in the help; empty for the unit or the name.
+    """
+    declared = IdentificationSettings.flat()[name]
+    text = declared.metadata["description"]
+    return option(None, text, metavar=metavar, shown=declared.default)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Base class of options; the fields of a subclass document themselves by their texts."""
+
+    heading: ClassVar[str] = ""
+    summary: ClassVar[str] = ""
+    epilog: ClassVar[str] = ""
+
+    def __init_subclass__(cls, heading: str = "", summary: str = "", epilog: str = "") -> None:
+        """Keep what the help says of a class, and append `Attributes:` to its docstring.
+
+        Args:
+            heading: Heading of its options in the help; empty for the usual one.
+            summary: For a verb, what it does.
+            epilog: For a verb, the text below its options.
+        """
+        super().__init_subclass__()
+        cls.heading, cls.summary, cls.epilog = heading, summary, epilog
+        if cls.__doc__:  # `python -OO` strips it
+            entries = (
+                f"    {name}: {declared.metadata['text']}."
+                for name, declared in vars(cls).items()
+                if isinstance(declared, dataclasses.Field)
+            )
+            cls.__doc__ = "\n".join([inspect.cleandoc(cls.__doc__), "\nAttributes:", *entries])
+
+
+def given(options: Options, *takers: Callable[..., Any]) -> dict[str, Any]:
+    """The options that some functions or classes of options have, as keywords.
+
+    Args:
+        options: Options of a verb.
+        takers: Functions that are called with the result, or classes of options.
+    """
+    names = {name for taker in takers for name in inspect.signature(taker).parameters}
+    declared = (item.name for item in dataclasses.fields(options))
+    return {name: getattr(options, name) for name in declared if name in names}
+
+
+# What is read of a trial.
+
+_SEGMENT = (
+    "plateau, the longest; hold, the longest while the load is placed; auto, the hold or, failing"
+    " that, the part under load; all; T0:T1 in seconds since the first sample; or event:A:B between"
+    " events, such as event:placed+5:removed-2, with event labels, push#2 for the second push, or"
+    " seconds at either end"
+)
+_OWN_PARAMS = "a testbed.yaml to use instead of the trial's own"
+_PARAMS_OF_EACH = "a testbed.yaml to use instead of each trial's own"
+_PARAMS_OF_MAP = f"{_OWN_PARAMS}; its group force_map sets the prior"
+
+
+def segment_option(default: str) -> Any:
+    """The option for the part of a trial.
+
+    Args:
+        default: The part by default, such as `plateau`.
+    """
+    return option(default, _SEGMENT, metavar="plateau|hold|auto|all|T0:T1|event:A:B")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialFiles(Options):
+    """Files and tare that a trial is opened with."""
+
+    geometry: Path | None = option(
+        None,
+        "a socket.yaml to use instead of the trial's own. If a body's markers differ there, its"
+        " poses are refitted to the recorded markers",
+    )
+    calibration: Path | None = option(None, "a calibration.yaml to use instead of the trial's own")
+    load_cell: Path | None = option(
+        None,
+        "a testbed.yaml whose load cell (matrix, signs, gains, ...) replaces the trial's own and is"
+        " applied to the recorded bridge ratios",
+    )
+    tare: str = option(
+        RECORDED,
+        "tare to subtract from the wrenches: the recorded one, none, or the mean of T0:T1, an"
+        " unloaded span in seconds since the first sample",
+        metavar="T0:T1|none|recorded",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenOptions(TrialFiles):
+    """How a trial is opened, see `st.open_trial`."""
+
+    unloaded: Sequence[str] = several(
+        "unloaded spans before and after the load, used to correct the drift of the clusters;"
+        " seconds since the first sample",
+        metavar="T0:T1",
+    )
+
+
+# What a fit uses.
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolutionOptions(Options):
+    """Settings of every fit, see `IdentificationSettings`; None keeps those of the trial."""
+
+    weights: Weights | None = setting_of_fit("weights")
+    smoothness: float | None = setting_of_fit("smoothness")
+    leave_out: Sequence[str] | None = setting_of_fit("leave_out", metavar="CHANNEL")
+    solver: str | None = setting_of_fit("solver")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThetaOptions(SolutionOptions):
+    """Settings of a fit with one theta."""
+
+    theta: float | None = setting_of_fit("theta")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorOptions(ThetaOptions):
+    """Settings of a fit that the estimator node has, too."""
+
+    variant: Variant | None = setting_of_fit("variant")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseOptions(Options):
+    """How poses are averaged for a fit."""
+
+    pose_smoothing: float | None = setting_of_fit("pose_smoothing")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfflineOptions(PoseOptions):
+    """Settings that only a fit on a recorded trial has."""
+
+    frames: int | None = setting_of_fit("frames")
+    initial_stiffness: float | Literal["auto"] | None = setting_of_fit(
+        "initial_stiffness", metavar="K0|auto"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOptions(Options):
+    """The part of a trial that is used, and its settings."""
+
+    segment: str = segment_option("plateau")
+    params: Path | None = option(None, _OWN_PARAMS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions(PartOptions, EstimatorOptions, OfflineOptions):
+    """Options of `st.fit`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThetasOptions(Options):
+    """Values of theta along a front."""
+
+    thetas: int = option(101, "number of values of theta from 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontOptions(PartOptions, ThetasOptions, SolutionOptions, OfflineOptions):
+    """Options of `st.pareto`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
+    """Options of `st.paper`."""
+
+    weights: Weights = option(
+        "raw", IdentificationSettings.flat()["weights"].metadata["description"]
+    )
+    frames: int = option(1000, IdentificationSettings.flat()["frames"].metadata["description"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationOptions(ThetaOptions, PoseOptions):
+    """Options of `st.validate`."""
+
+    segment: str = segment_option("all")
+    params: Path | None = option(None, _PARAMS_OF_EACH)
+
+
+# What is computed of a trial, and written.
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationOptions(Options):
+    """Options of `st.evaluate`."""
+
+    segment: str = segment_option("plateau")
+    pose_smoothing: float | None = option(
+        None,
+        "centred window of the mean pose [s] (default: that of the model's fit)",
+    )
+    pressure: bool = option(
+        False,
+        "add the pressure outputs of the segment. They come from the force map, not from the model",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions(Options):
+    """Options of `st.force_map`."""
+
+    segment: str = segment_option("plateau")
+    params: Path | None = option(None, _PARAMS_OF_MAP)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressureOptions(MapOptions):
+    """Options of `st.pressure`."""
+
+    threshold: float = option(5.0, "pressure above which a tile is in contact [kPa]")
+    share: float = option(
+        0.5, "a value is uncertain if its interval reaches farther than this share of it [-]"
+    )
+    leave_out: Sequence[str] | None = option(
+        None,
+        "channels to ignore, such as distal.Fx or Mz; distal ignores all of a cluster",
+        metavar="CHANNEL",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonOptions(Options):
+    """Options of `st.compare`."""
+
+    segment: str = segment_option("plateau")
+    threshold: float = option(
+        PressureOptions.threshold, "pressure above which a tile is in contact [kPa]"
+    )
+    by_region: bool = option(False, "compare trials by region alone; their sockets may then differ")
+    params: Path | None = option(None, _PARAMS_OF_EACH)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
+    """Options of `st.write_report`."""
+
+    model: Path | None = option(None, "a further model to show", metavar="MODEL")
+    figures: bool = option(False, "add figures for print to the folder, as .pdf and .png")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions(Options):
+    """Options of `st.export`."""
+
+    segment: str = segment_option("all")
+    model: Path | None = option(
+        None,
+        "a model whose predictions are added as predicted.* and engaged springs as springs.*",
+        metavar="MODEL",
+    )
+    pressure: bool = option(False, "add pressure and shear of every region and tile as pressure.*")
+    cycles: str | None = option(
+        None,
+        "events that delimit cycles; the table then holds mean and standard deviation of all"
+        " columns over 0 to 100 % of a cycle",
+        metavar="LABEL",
+    )
+    about: tuple[float, float, float] | None = option(
+        None,
+        "reference point of the moments in {S}, such as the knee's centre [m] (default: the load"
+        " cell's origin)",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageOptions(Options):
+    """Where a page is served, see `st.view`."""
+
+    host: str = option(
+        ViewSettings.host,
+        "address of this machine to serve the page on, 0.0.0.0 for all; at 127.0.0.1 only this"
+        " machine can open it",
+    )
+    port: int = option(ViewSettings.port, "port of the page; 0 for any free port")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetadataOptions(Options):
+    """What is stated about a trial, see `st.annotate`."""
+
+    subject: str | None = option(None, "code of the subject, such as S01; never a name")
+    side: Side | None = option(None, "side of the residual limb, left or right")
+    socket: str | None = option(None, "the socket, such as PTB 3")
+    liner: str | None = option(None, "liner or sock")
+    mass: float | None = option(None, "body mass of the subject [kg]")
+    operator: str | None = option(None, "initials or code of the operator")
+    protocol: str | None = option(None, "the protocol followed")
+    notes: str | None = option(None, "any further remarks")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions(Options):
+    """Options of `st.simulate`."""
+
+    scenario: Scenario = option(
+        "static_hold", "the load history: static_hold, ramp, multi_direction or protocol"
+    )
+    tissue: TissueKind = option(
+        "soft", "tissue of the limb: soft like the published experiment's silicone, or stiff"
+    )
+    like_paper: bool = option(
+        False,
+        "make the errors of load cell and clusters as large as in the published experiment, with a"
+        " calibration whose ranges admit them; the settings stored with the trial leave out the"
+        " three channels that the paper leaves out",
+    )
+    duration: float = option(120.0, "duration [s]")
+    rate: float = option(TriggerSettings.rate, "trigger rate [Hz]")
+    seed: int = option(0, "seed of the random numbers: of the limb, its load and all errors")
+    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
+    calibration: Path | None = option(
+        None,
+        "a calibration.yaml (default: the package's own, config/like_paper.yaml with like_paper)",
+    )
+    replace: bool = option(
+        False, "replace an older simulated trial in that folder, and nothing else"
+    )
+
+
+# The socket and its calibration.
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileOptions(Options):
+    """Options of `st.tile`."""
+
+    unit: Literal["m", "cm", "mm", "in"] | None = option(
+        None, "unit of the scan's lengths (default: inferred)"
+    )
+    body: str | None = option(None, "name or number of the body, if the file has several")
+    proximal: str | None = option(
+        None, "direction of the opening in the scan, such as +z or 0 0.1 1 (default: detected)"
+    )
+    anterior: str | None = option(None, "direction of the x axis of {S} in the scan")
+    landmarks: Path | None = option(
+        None, "YAML file of points known in the scan and in {S}", either="points"
+    )
+    clusters: Path | None = option(
+        None, "YAML file of cluster positions in {S} or in the scan (default: the usual ones)"
+    )
+    place: int = option(
+        0,
+        "total number of clusters: given ones stay, the others are proposed where they are most"
+        " informative for the force map; 0: none is proposed",
+    )
+    keep_out: Sequence[str] = several(
+        "regions and tiles excluded from proposals, such as anterior proximal"
+    )
+    bodies: Path | None = option(
+        None, "a registered socket.yaml whose marker bodies are kept (default: nominal ones)"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegistrationOptions(Options):
+    """Options of `st.register`."""
+
+    landmarks: Path = required("YAML file that assigns the markers and locates the landmarks")
+    socket: Path = required("the socket.yaml to register")
+    force: bool = option(
+        False, "accept landmarks with large residuals, or a limb outside the socket"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(Options):
+    """Options of `st.calibrate`."""
+
+    cluster: str = required("name of the cluster")
+    into: Path | None = option(None, "a calibration whose other clusters are kept")
+    baseline: Sequence[Path] = several(
+        "CSV files of unloaded readings before the bench run and, to correct its drift, after it"
+    )
+    columns: Sequence[str] = several(
+        "header names of quantities (time, cycle, normal, shear_x, shear_y, c0 to c3), keyed by"
+        " quantity",
+        metavar="QUANTITY=HEADER",
+    )
+    units: Sequence[str] = several(
+        "units that override the header's, keyed by quantity: Pa, kPa, MPa, N, kN; pF, fF, nF,"
+        " counts of an FDC1004; s, ms",
+        metavar="QUANTITY=UNIT",
+    )
+    area: float | None = option(
+        None, "area that converts forces into stresses [m^2]", either="area"
+    )
+    geometry: Path | None = option(
+        None, "a socket.yaml that supplies the area of the cluster's tile instead", either="area"
+    )
+    wiring: tuple[int, int, int, int] | None = option(
+        None,
+        "input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y) (default: the existing"
+        " cluster's, else 0, 1, 2, 3)",
+        metavar="C",
+    )
+    drop_outliers: bool = option(False, "leave outliers out of the fit")

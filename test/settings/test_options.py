@@ -1,0 +1,106 @@
+"""Options stand once: the signatures, docstrings and keywords of the API agree with them."""
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import MISSING, fields
+from typing import Any, get_type_hints
+
+import pytest
+
+import socket_testbed as st
+from socket_testbed.commands import calls
+from socket_testbed.settings import identification, options
+from socket_testbed.socket_design.tiling import TilingSettings
+
+TAKEN: dict[Callable[..., Any], type[options.Options]] = {
+    st.annotate: options.MetadataOptions,
+    st.calibrate: options.CalibrationOptions,
+    st.compare: options.ComparisonOptions,
+    st.evaluate: options.EvaluationOptions,
+    st.export: options.ExportOptions,
+    st.fit: options.FitOptions,
+    st.force_map: options.MapOptions,
+    st.open_trial: options.OpenOptions,
+    st.pareto: options.FrontOptions,
+    st.paper: options.PaperOptions,
+    st.pressure: options.PressureOptions,
+    st.register: options.RegistrationOptions,
+    st.simulate: options.SimulationOptions,
+    st.tile: options.TileOptions,
+    st.validate: options.ValidationOptions,
+    st.view: options.PageOptions,
+    st.write_report: options.ReportOptions,
+}
+CHOICES = {
+    st.pareto: identification.FrontChoices,
+    st.paper: identification.PaperChoices,
+    st.validate: identification.ValidationChoices,
+    st.write_report: identification.ReportChoices,
+}
+OWN = {(st.view, "port")}  # any free port, where a verb has one that is known
+FREE = {"columns", "units"}  # mappings, which are words on the command line
+
+
+def explained(function: Callable[..., Any]) -> dict[str, str]:
+    """The entries of `Args:`, in the form of the help."""
+    section = (inspect.getdoc(function) or "").partition("\nArgs:\n")[2]
+    section = re.split(r"^\S", section, maxsplit=1, flags=re.MULTILINE)[0]
+    found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", section, re.DOTALL | re.MULTILINE)
+    return {name: as_help(" ".join(text.split())) for name, text in found}
+
+
+def as_help(text: str) -> str:
+    text = re.sub(r"^Whether (to )?|, see `[^`]*`|`|\.$", "", text)
+    return text[0].lower() + text[1:] if text[1:2].islower() or text[1:2] == " " else text
+
+
+PAIRS = [
+    pytest.param(function, item, id=f"{function.__name__}-{item.name}")
+    for function, kind in TAKEN.items()
+    for item in fields(kind)
+    if item.name in inspect.signature(function).parameters
+]
+
+
+@pytest.mark.parametrize(("function", "item"), PAIRS)
+def test_an_option_has_one_text(function: Callable[..., Any], item: Any) -> None:
+    """A docstring says what the help says, or where it is said."""
+    found = explained(function)[item.name]
+    assert found == as_help(item.metadata["text"]) or found.startswith("as ")
+
+
+@pytest.mark.parametrize(("function", "item"), PAIRS)
+def test_an_option_has_one_default(function: Callable[..., Any], item: Any) -> None:
+    default = inspect.signature(function).parameters[item.name].default
+    if (function, item.name) not in OWN and item.name not in FREE:
+        assert default == (inspect.Parameter.empty if item.default is MISSING else item.default)
+
+
+@pytest.mark.parametrize("function", TAKEN, ids=lambda function: function.__name__)
+def test_an_option_has_its_parameter(function: Callable[..., Any]) -> None:
+    keywords = get_type_hints(CHOICES[function]) if function in CHOICES else {}
+    known = {*inspect.signature(function).parameters, *keywords}
+    assert {item.name for item in fields(TAKEN[function])} <= known
+
+
+@pytest.mark.parametrize("function", CHOICES, ids=lambda function: function.__name__)
+def test_keywords_have_the_types_of_options(function: Callable[..., Any]) -> None:
+    keywords, declared = get_type_hints(CHOICES[function]), get_type_hints(TAKEN[function])
+    assert keywords.items() <= declared.items()
+
+
+def test_a_tiling_has_the_defaults_of_its_verb() -> None:
+    """30 mm and 8 mm, in m."""
+    usual = {item.name: item.default for item in fields(calls.Tile)}
+    assert (usual["size"], usual["flatness"]) == (30.0, 8.0)
+    assert TilingSettings() == TilingSettings(0.030, 0.008, usual["rounds"], usual["seed"])
+
+
+def test_a_verb_is_called_with_its_own_arguments() -> None:
+    asked: list[Any] = []
+    verb = calls.takes(calls.Mark)(asked.append)
+    verb("push", namespace="/left")
+    assert asked == [calls.Mark("push", namespace="/left")]
+    with pytest.raises(TypeError, match="nmespace"):
+        verb("push", nmespace="/left")  # type: ignore[call-arg]
