@@ -26,7 +26,7 @@ from socket_testbed.identification.noise import ChannelNoise, smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.pressure import PressureOutputs
 from socket_testbed.identification.validation import Judgement, judge_samples
-from socket_testbed.results.pressure import TrialPressure, mapped_trial
+from socket_testbed.results.pressure import TrialPressure, map_trial
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -222,8 +222,8 @@ def compute_results(
     except IdentificationError as error:
         no_validation = str(error)
     progress(4, _STAGES)
-    mapped = mapped_trial(trial, settings)
-    pressure = mapped.over(whole)
+    mapped = map_trial(trial, settings)
+    pressure = mapped.part(whole).pressure()
     peak = whole.rows.start + pressure.outputs.peak_row
     over_trial = mapped.course(_PRESSURE_SAMPLES, [peak])
     progress(_STAGES, _STAGES)

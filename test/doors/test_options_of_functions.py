@@ -21,7 +21,7 @@ from support.arrivals import Stage, changes, options_of, plain, write_files
 
 import socket_testbed as st
 from socket_testbed.files import packaged
-from socket_testbed.results.pressure import TrialMap, TrialPressure
+from socket_testbed.results.pressure import TrialMap
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.simulation.sensors import LIKE_PAPER
 from socket_testbed.socket_design.tiling import TilingSettings
@@ -207,17 +207,15 @@ def _stands_for_map(stage: Stage) -> None:
         stage.seen["length of the prior"] = settings.force_map.length
         stage.seen["regions"] = {} if geometry is None else geometry.regions
 
-        def over(segment: Segment, threshold: float, share: float) -> Any:
-            stage.seen["segment"] = str(segment)
-            return TrialPressure(trial, segment, (), None, threshold, share)  # type: ignore[arg-type]
-
         def part(segment: Segment) -> TrialMap:
+            stage.seen["segment"] = str(segment)
             rows, time = segment.rows, trial.samples().time
-            return TrialMap(trial, segment, time[rows], trial.samples()[rows], None)  # type: ignore[arg-type]
+            return TrialMap(trial, segment, time[rows], trial.samples()[rows], None, ())  # type: ignore[arg-type]
 
-        return SimpleNamespace(part=part, over=over)
+        return SimpleNamespace(part=part)
 
-    stage.replace("api.pressure.mapped_trial", mapped)
+    stage.patch.setattr(TrialMap, "outputs", lambda found, threshold: None)
+    stage.replace("api.pressure.map_trial", mapped)
 
 
 @calls

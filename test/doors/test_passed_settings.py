@@ -70,21 +70,22 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
     def mapped(trial: Trial, own: EstimatorSettings) -> Any:
         stage.seen |= {"prior": own.force_map.length, "map without": own.identification.leave_out}
 
-        def over(segment: Segment) -> Any:
+        def part(segment: Segment) -> Any:
             stage.seen["pressure over"] = str(segment)
-            return SimpleNamespace(outputs=SimpleNamespace(peak_row=5))
+            outputs = SimpleNamespace(peak_row=5)
+            return SimpleNamespace(pressure=lambda: SimpleNamespace(outputs=outputs))
 
         def course(count: int, rows: list[int]) -> None:
             stage.seen["course with"] = rows
 
-        return SimpleNamespace(over=over, course=course)
+        return SimpleNamespace(part=part, course=course)
 
     stage.replace("report.results.fit_contact_model", fitted)
     stage.replace("report.results.predictions", predicted)
     stage.replace("report.results.evaluate", evaluated)
     stage.replace("report.results.pareto_front", traced)
     stage.replace("report.results.judge_samples", validated)
-    stage.replace("report.results.mapped_trial", mapped)
+    stage.replace("report.results.map_trial", mapped)
     stage.replace("report.results.smooth_poses", lambda samples, window: (len(samples), window))
     for name, places in {
         "measure_motion": ("", "", "averaged to move"),
