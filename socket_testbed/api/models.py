@@ -20,13 +20,13 @@ from socket_testbed.identification import information
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
+    FittedModel,
     errors_to_dataframe,
     fit_contact_model,
     summarise_errors,
 )
 from socket_testbed.identification.fit import evaluate as _evaluate
 from socket_testbed.identification.model_file import (
-    StoredModel,
     quoted_figures,
     record,
     write_model,
@@ -64,7 +64,8 @@ class TrialFit(Result):
         segment: The part that was fitted; with `frames` only its first samples. Its `start` and
             `end` [s] count from the first sample of the trial, `rows` is a slice of its samples.
         fit: The contact model (`fit.model`), the settings used, the errors of every channel on the
-            segment, and the certificates of both stages.
+            segment, and the certificates of both stages; it is a `FittedModel` as `st.read_model`
+            reads it from the saved file.
     """
 
     trial: Trial
@@ -74,7 +75,7 @@ class TrialFit(Result):
     def __repr__(self) -> str:
         fit = self.fit
         return (
-            f"TrialFit({fit.model.variant} on {self.trial.name}, {self.segment}, theta"
+            f"TrialFit({self.variant} on {self.trial.name}, {self.segment}, theta"
             f" {fit.settings.theta:g}; {summarise_errors(fit.errors).in_words()})"
         )
 
@@ -86,35 +87,17 @@ class TrialFit(Result):
         """
         samples = self.trial.samples()
         identity = {
-            "name": self.trial.name,
-            "fingerprint": self.trial.fingerprint,
             "first_stamp": int(samples.stamps[0]),
             "last_stamp": int(samples.stamps[-1]),
             "samples": len(samples),
             **self.trial.replaced,
         }
-        write_model(
-            self.fit, self.trial.geometry, identity, str(self.segment), path_of(path, "the file")
-        )
+        write_model(self.fit, path_of(path, "the file"), identity)
 
-    def stored(self) -> StoredModel:
-        """The model as `st.read_model` returns it after `save`."""
-        fit = self.fit
-        return StoredModel(
-            model=fit.model,
-            geometry=self.trial.geometry,
-            settings=fit.settings,
-            samples=fit.samples,
-            first_stamp=fit.first_stamp,
-            last_stamp=fit.last_stamp,
-            wrench_rmse=fit.wrench_rmse,
-            errors=fit.errors,
-            status=fit.status,
-            trial=self.trial.name,
-            fingerprint=self.trial.fingerprint,
-            unloaded=self.trial.unloaded,
-            segment=str(self.segment),
-        )
+    @property
+    def variant(self) -> Variant:
+        """The variant of the contact law that was fitted."""
+        return self.fit.model.variant
 
     def load_shares(self) -> tuple[information.LoadShare, ...]:
         """Shares of the measured wrench that springs and offsets carry, over the segment.
@@ -181,7 +164,7 @@ class TrialFit(Result):
             the number of `samples`, `channels` with the errors of each in its `unit`, and
             `in_objective`, the paper's mean and median errors [N m, N] over the fitted channels.
         """
-        return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
+        return _errors_document(self, self.fit, self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.figures.tiles import tile_map_figure
@@ -198,7 +181,7 @@ class TrialFit(Result):
         )
 
 
-Model: TypeAlias = TrialFit | StoredModel | PathLike
+Model: TypeAlias = TrialFit | FittedModel | PathLike
 """A fit, a model that `st.read_model` read, or the path of its file."""
 
 
@@ -224,7 +207,7 @@ class Evaluation(Result):
     """
 
     trial: Trial
-    model: StoredModel
+    model: FittedModel
     segment: Segment
     samples: int
     errors: tuple[ChannelErrors, ...]
@@ -307,7 +290,7 @@ class Evaluation(Result):
 
 
 def _errors_document(
-    found: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
+    found: TrialFit | Evaluation, model: FittedModel, samples: int, errors: Sequence[ChannelErrors]
 ) -> dict[str, Any]:
     identity = origin(found.trial, found.segment)
     return {
@@ -391,7 +374,14 @@ def fit(
     # The programs are small, so that a single thread is no slower.
     with threadpool_limits(1):
         found = fit_contact_model(rows, trial.geometry, settings)
-    return TrialFit(trial, chosen, found)
+    named = dataclasses.replace(
+        found,
+        trial=trial.name,
+        fingerprint=trial.fingerprint,
+        unloaded=trial.unloaded,
+        segment=str(chosen),
+    )
+    return TrialFit(trial, chosen, named)
 
 
 def prepare_fit(
@@ -421,7 +411,7 @@ def prepare_fit(
     return trial, chosen, trial.checked(leave_out).part(chosen.rows), settings.identification
 
 
-def read_model(path: PathLike) -> StoredModel:
+def read_model(path: PathLike) -> FittedModel:
     """Read a model saved by `fit`.
 
     Returns:
@@ -435,14 +425,14 @@ def read_model(path: PathLike) -> StoredModel:
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
     >>> model
-    StoredModel(rigid_bias of hold, ... samples, ... tiles)
+    FittedModel(rigid_bias of hold, ... samples, ... tiles)
     >>> model.model.stiffness.shape == (len(model.geometry), 3)  # [N/m]
     True
     """
     return _read_model(path_of(path, "the file"))
 
 
-def model_for(trial: Trial, model: Model) -> StoredModel:
+def model_for(trial: Trial, model: Model) -> FittedModel:
     """A fit, a stored model or one at a path, for a trial; refuses one of another socket.
 
     Args:
@@ -450,8 +440,8 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
         model: See `Model`.
     """
     if isinstance(model, TrialFit):
-        model = model.stored()
-    elif not isinstance(model, StoredModel):
+        model = model.fit
+    elif not isinstance(model, FittedModel):
         hint = "give a fit, a model, or the path of its file"
         check_kind(model, (str, os.PathLike), "the model", hint)
         model = read_model(model)
@@ -459,13 +449,13 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
     return model
 
 
-def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
+def _predictions(samples: Samples, stored: FittedModel) -> FloatArray:
     """Predictions of a model, shape (N, 6 + 3c) [N m, N], with poses averaged as in its fit."""
     with threadpool_limits(1):
         return stored.predictions(samples)
 
 
-def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
+def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
     """Predictions of all channels at all samples of a trial.
 
     Args:

@@ -28,9 +28,8 @@ from socket_testbed.figures.style import (
 from socket_testbed.files import PARAMETERS_FILE
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
-from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
-from socket_testbed.report.results import Results
+from socket_testbed.report.results import GIVEN, Results
 from socket_testbed.samples import Status, force_magnitude
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.description import (
@@ -230,7 +229,8 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
     if stored.is_file():
         rows.append(("parameters in the trial", _file(stored, given=False)))
     for candidate in results.candidates:
-        if isinstance(given := candidate.source, StoredModel):
+        if candidate.label == GIVEN:
+            given = candidate.source
             described = f"{candidate.model.variant} of {given.trial}; {given.status}"
             rows.append((f"model {candidate.label}", described))
     versions = {"socket_testbed": __version__} | {name: version(name) for name in _LIBRARIES}

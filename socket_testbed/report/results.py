@@ -17,11 +17,11 @@ from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
+    FittedModel,
     evaluate,
     fit_contact_model,
     predictions,
 )
-from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import ChannelNoise, smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.pressure import PressureOutputs
@@ -60,7 +60,7 @@ class Candidate:
     """
 
     label: str
-    source: Fit | StoredModel
+    source: FittedModel
     predicted: FloatArray
     errors: tuple[ChannelErrors, ...]
     in_sample: bool
@@ -76,7 +76,7 @@ class Candidate:
     @property
     def fit(self) -> Fit | None:
         """The fit; None for a given model."""
-        return self.source if isinstance(self.source, Fit) else None
+        return self.source if isinstance(self.source, Fit) and self.label != GIVEN else None
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def compute_results(
     specification: str,
     settings: EstimatorSettings,
     thetas: Sequence[float] | FloatArray,
-    given: StoredModel | None = None,
+    given: FittedModel | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Results:
     """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both.
@@ -248,7 +248,7 @@ def compute_results(
     )
 
 
-def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
+def _judge(trial: Trial, segment: Segment, label: str, source: FittedModel) -> Candidate:
     """A model over the trial and over the samples of the segment, as in `st.evaluate`."""
     model, settings = source.model, source.settings
     window, leave_out = settings.pose_smoothing, settings.leave_out
@@ -256,9 +256,7 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
     chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
     inside = _rows_of(segment, samples)
-    used = (
-        inside if isinstance(source, Fit) else source.used(trial.name, trial.fingerprint, samples)
-    )
+    used = inside if label != GIVEN else source.used(trial.name, trial.fingerprint, samples)
     rest = ~(inside | used)
     held_out = evaluate(samples[rest], predicted[rest], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT

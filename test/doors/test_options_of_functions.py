@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from support import scene
+from support import results_by_hand, scene
 from support.arrivals import Stage, changes, options_of, plain, write_files
 
 import socket_testbed as st
@@ -114,7 +114,7 @@ def call_fit(stage: Stage, **options: Any) -> None:
 
     def fitted(samples: Any, geometry: Any, settings: Any) -> Any:
         stage.seen |= {"samples": len(samples)} | settings.to_flat()
-        return SimpleNamespace()
+        return results_by_hand.fit_by_hand(samples, geometry, settings)
 
     stage.replace("api.models.fit_contact_model", fitted)
     stage.seen["segment"] = str(st.fit(stage.trial, **options).segment)

@@ -190,7 +190,8 @@ def fitted(trial: Trial, judged: Evaluation) -> TrialFit:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("socket_testbed.api.models.fit_contact_model", results_by_hand.fit_by_hand)
         found = st.fit(trial, "all", variant="stiffness_bias")
-    return replace(found, fit=replace(found.fit, errors=judged.errors))
+    rmse = np.array([error.rmse for error in judged.errors[:6]])
+    return replace(found, fit=replace(found.fit, errors=judged.errors, wrench_rmse=rmse))
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +243,7 @@ def test_a_fit_names_trial_part_and_scale(drawn_fit: Figure) -> None:
 
 def test_a_saved_fit_names_its_trial(fitted: TrialFit, trial: Trial, tmp_path: Path) -> None:
     fitted.save(tmp_path / "model.json")
-    for found in (st.read_model(tmp_path / "model.json"), fitted.stored()):
+    for found in (st.read_model(tmp_path / "model.json"), fitted.fit):
         assert (found.trial, found.segment) == ("scene", "all 0.00 s to 23.75 s")
         assert (found.first_stamp, found.last_stamp) == (scene.STAMPS[0], scene.STAMPS[-1])
         assert (found.samples, found.status) == (96, fitted.fit.status)

@@ -105,12 +105,15 @@ def fit_by_hand(
     model = rigid_model(geometry) if rigid else paper_model(geometry, settings.variant)
     return Fit(
         model=model,
+        geometry=geometry,
         settings=settings,
         samples=len(samples),
         first_stamp=int(samples.stamps[0]),
         last_stamp=int(samples.stamps[-1]),
         determined=20.0,
+        wrench_rmse=np.full(6, np.nan),
         errors=(),
+        status="solved by hand",
         stage_one=_solution(1e-12, "osqp"),
         stage_two=_solution(2e-11, "warm start"),
         joint=_solution(3e-10, "osqp") if rigid else None,
