@@ -217,4 +217,5 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
         "pareto_front": fronts_by_hand,
         "judge_samples": judgements_by_hand,
     }.items():
-        monkeypatch.setattr(f"socket_testbed.report.results.{name}", made)
+        home = "models" if name == "fit_contact_model" else "report"
+        monkeypatch.setattr(f"socket_testbed.results.{home}.{name}", made)
