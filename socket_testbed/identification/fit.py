@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, finite_mean, rms
-from socket_testbed.errors import IdentificationError
+from socket_testbed.arrays import BoolArray, FloatArray, finite_mean, rms
+from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
 from socket_testbed.identification.noise import smooth_poses
@@ -217,20 +217,104 @@ def evaluate(
     )
 
 
-@dataclass(frozen=True)
-class Fit:
-    """A fitted model with its errors and certificates.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FittedModel:
+    """A fitted model with its errors, its socket, and the trial that it came from.
+
+    A fit is one, and so is what `model_file.read_model` reads.
 
     Attributes:
-        model: The fitted model.
+        model: The contact model.
+        geometry: Geometry of the socket it was fitted on.
         settings: Settings of the identification, with the `initial_stiffness` used.
         samples: Number of samples in the objective.
-        first_stamp: Time of the oldest of these samples since the epoch [ns].
+        first_stamp: Time of the oldest of these samples since the epoch [ns]; 0 in a model of an
+            older version.
         last_stamp: Time of the newest of these samples since the epoch [ns].
+        wrench_rmse: RMSE of the wrench [M; F] in {S} on these samples, shape (6,) [N m, N]; NaN for
+            a channel without values.
+        errors: Errors of every channel on these samples, the wrench's six first, then three per
+            cluster; empty in a model of an older version.
+        status: Solver and certificate of both stages and of their refinement, in words.
+        trial: Name of the trial it was fitted on; empty for samples of no trial.
+        fingerprint: Fingerprint of that trial; empty in a model of an older version.
+        unloaded: Start and end of the spans in which the limb was unloaded, used to correct the
+            clusters' drift, since the first sample of the trial [s].
+        segment: The segment of the fit, such as `plateau 12.00 s to 31.50 s`; empty in a model of
+            an older version.
+    """
+
+    model: ContactModel
+    geometry: SocketGeometry
+    settings: IdentificationSettings
+    samples: int
+    first_stamp: int
+    last_stamp: int
+    wrench_rmse: FloatArray
+    errors: tuple[ChannelErrors, ...]
+    status: str
+    trial: str = ""
+    fingerprint: str = ""
+    unloaded: tuple[tuple[float, float], ...] = ()
+    segment: str = ""
+
+    def predictions(self, samples: Samples) -> FloatArray:
+        """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
+
+        The poses of the N samples are averaged as in the fit.
+        """
+        return predictions(samples, self.model, self.settings.pose_smoothing)
+
+    def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
+        """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.
+
+        Args:
+            trial: Name of the trial, which identifies it for a model of an older version.
+            fingerprint: Fingerprint of the trial, which identifies it otherwise.
+            samples: N samples of the trial, of which the stamps matter.
+        """
+        stamps = samples.stamps
+        same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
+        own = same and self.last_stamp in stamps
+        return own & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
+
+    def __repr__(self) -> str:
+        origin = f" of {self.trial}" if self.trial else ""
+        return (
+            f"{type(self).__name__}({self.model.variant}{origin}, {self.samples} samples,"
+            f" {len(self.geometry)} tiles)"
+        )
+
+    def require_socket(self, geometry: SocketGeometry) -> None:
+        """Check that the model was fitted on this socket.
+
+        Raises:
+            ConfigurationError: If the tiles differ, or a cluster is on another tile or has another
+                area.
+        """
+        if not self.geometry.same_tiles(geometry):
+            raise ConfigurationError(
+                f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
+                f" tiles) than the one that it is used on ({len(geometry)} tiles)",
+                "fit a model on this socket, or give the socket.yaml of the model's trial",
+            )
+        own = self.geometry
+        for name in own.clusters.keys() & geometry.clusters.keys():
+            tile, other = own.clusters[name], geometry.clusters[name]
+            if tile != other or not np.isclose(own.areas[tile], geometry.areas[other]):
+                raise ConfigurationError(
+                    f"{name} had another tile or area in the socket of the model of {self.trial}",
+                    "fit the model again with this socket.yaml",
+                )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Fit(FittedModel):
+    """A model that was fitted here, with the certificates of its programs.
+
+    Attributes:
         determined: Effective number of directions among the 3n stiffnesses that the data
             determines, 0 to 3n [-]; the prior (smoothness) determines the others.
-        errors: Errors of every channel on the samples of the fit, the wrench's six first, then
-            three per cluster.
         stage_one: Certified solution of Stage 1, scaled rest displacements, shape (3n,) [-].
         stage_two: Certified solution of Stage 2, scaled stiffnesses, shape (3n,) [-].
         joint: Certified joint refinement of both in the rigid variants, shape (6n,) [-]; None in
@@ -238,28 +322,11 @@ class Fit:
         wrench: What predicts the wrench, in words; empty for the model's own springs.
     """
 
-    model: ContactModel
-    settings: IdentificationSettings
-    samples: int
-    first_stamp: int
-    last_stamp: int
     determined: float
-    errors: tuple[ChannelErrors, ...]
     stage_one: BoxSolution
     stage_two: BoxSolution
     joint: BoxSolution | None
     wrench: str
-
-    @property
-    def wrench_rmse(self) -> FloatArray:
-        """In-sample RMSE of the wrench [M; F] in {S}, shape (6,) [N m, N]; NaN without a value."""
-        return np.array([error.rmse for error in self.errors[:6]])
-
-    @property
-    def status(self) -> str:
-        """Solver and certificate of both stages and of their refinement, in words."""
-        stages = f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
-        return stages if self.joint is None else f"{stages}; {self.joint.status}"
 
 
 def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
@@ -307,19 +374,29 @@ def fit_contact_model(
         moments = problem.moments(x)
     model, used = problem.model(x), problem.objective.samples
     model, chosen = _with_wrench_model(model, samples, used, geometry, settings)
+    errors = evaluate(used, model, settings.leave_out)
     return Fit(
         model=model,
+        geometry=geometry,
         settings=problem.settings,
         samples=len(used),
         first_stamp=int(used.stamps[0]),
         last_stamp=int(used.stamps[-1]),
         determined=problem.determined_directions(x, moments),
-        errors=evaluate(used, model, settings.leave_out),
+        wrench_rmse=np.array([error.rmse for error in errors[:6]]),
+        errors=errors,
+        status=_status(rest, springs, joint),
         stage_one=rest,
         stage_two=springs,
         joint=joint,
         wrench=chosen,
     )
+
+
+def _status(rest: BoxSolution, springs: BoxSolution, joint: BoxSolution | None) -> str:
+    """Solver and certificate of both stages and of their refinement, in words."""
+    stages = f"stage 1 {rest.status}; stage 2 {springs.status}"
+    return stages if joint is None else f"{stages}; {joint.status}"
 
 
 def _with_wrench_model(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +13,6 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from socket_testbed import documents
-from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
@@ -23,10 +21,9 @@ from socket_testbed.identification.fit import (
     QUOTED,
     ChannelErrors,
     Fit,
-    predictions,
+    FittedModel,
     summarise_errors,
 )
-from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 from socket_testbed.tables import split_unit
 
@@ -34,112 +31,27 @@ _FORMAT = "socket_testbed model 1"
 _AGAIN = "fit the trial again"
 
 
-@dataclass(frozen=True)
-class StoredModel:
-    """A model read from its file.
-
-    Attributes:
-        model: The contact model.
-        geometry: Geometry of the socket it was fitted on.
-        settings: Settings of its fit.
-        samples: Number of samples of its fit.
-        first_stamp: Time of the oldest of these samples since the epoch [ns]; 0 in a model of an
-            older version.
-        last_stamp: Time of the newest of these samples since the epoch [ns].
-        wrench_rmse: RMSE of the wrench [M; F] in {S} on the samples of the fit, shape (6,)
-            [N m, N]; NaN for a channel without values.
-        errors: Errors of its fit on every channel; empty in a model of an older version.
-        status: Solver and certificate of both stages and of their refinement, in words.
-        trial: Name of the trial it was fitted on.
-        fingerprint: Fingerprint of that trial; empty in a model of an older version.
-        unloaded: Start and end of the spans in which the limb was unloaded, used to correct the
-            clusters' drift, since the first sample of the trial [s].
-        segment: The segment of the fit, such as `plateau 12.00 s to 31.50 s`; empty in a model of
-            an older version.
-    """
-
-    model: ContactModel
-    geometry: SocketGeometry
-    settings: IdentificationSettings
-    samples: int
-    first_stamp: int
-    last_stamp: int
-    wrench_rmse: FloatArray
-    errors: tuple[ChannelErrors, ...]
-    status: str
-    trial: str
-    fingerprint: str
-    unloaded: tuple[tuple[float, float], ...]
-    segment: str
-
-    def predictions(self, samples: Samples) -> FloatArray:
-        """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
-
-        The poses of the N samples are averaged as in the fit.
-        """
-        return predictions(samples, self.model, self.settings.pose_smoothing)
-
-    def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
-        """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.
-
-        Args:
-            trial: Name of the trial, which identifies it for a model of an older version.
-            fingerprint: Fingerprint of the trial, which identifies it otherwise.
-            samples: N samples of the trial, of which the stamps matter.
-        """
-        stamps = samples.stamps
-        same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
-        own = same and self.last_stamp in stamps
-        return own & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
-
-    def __repr__(self) -> str:
-        return (
-            f"StoredModel({self.model.variant} of {self.trial}, {self.samples} samples,"
-            f" {len(self.geometry)} tiles)"
-        )
-
-    def require_socket(self, geometry: SocketGeometry) -> None:
-        """Check that the model was fitted on this socket.
-
-        Raises:
-            ConfigurationError: If the tiles differ, or a cluster is on another tile or has another
-                area.
-        """
-        if not self.geometry.same_tiles(geometry):
-            raise ConfigurationError(
-                f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
-                f" tiles) than the one that it is used on ({len(geometry)} tiles)",
-                "fit a model on this socket, or give the socket.yaml of the model's trial",
-            )
-        own = self.geometry
-        for name in own.clusters.keys() & geometry.clusters.keys():
-            tile, other = own.clusters[name], geometry.clusters[name]
-            if tile != other or not np.isclose(own.areas[tile], geometry.areas[other]):
-                raise ConfigurationError(
-                    f"{name} had another tile or area in the socket of the model of {self.trial}",
-                    "fit the model again with this socket.yaml",
-                )
-
-
-def write_model(
-    fit: Fit, geometry: SocketGeometry, trial: dict[str, Any], segment: str, path: Path
-) -> None:
-    """Write a model fitted on a segment as JSON, replacing an older file.
+def write_model(fit: Fit, path: Path, trial: Mapping[str, Any] | None = None) -> None:
+    """Write a fitted model as JSON, replacing an older file.
 
     Args:
-        fit: The fit of the model.
-        geometry: The socket of the fit.
-        trial: Identity of the trial, with at least its `name` and `fingerprint`, and the
-            `unloaded` spans used to correct drift, in pairs [s], if any.
-        segment: The segment of the fit, in words.
+        fit: The fit, which knows its trial, socket and segment.
         path: The file to write.
+        trial: What else identifies the trial, by name, such as its number of `samples`; None for
+            nothing.
     """
+    identity = {
+        "name": fit.trial,
+        "fingerprint": fit.fingerprint,
+        "unloaded": fit.unloaded,
+        **(trial or {}),
+    }
     document = {
         "format": _FORMAT,
-        "trial": trial,
-        "segment": segment,
+        "trial": identity,
+        "segment": fit.segment,
         "settings": fit.settings.to_flat(),
-        "geometry": geometry.to_document(),
+        "geometry": fit.geometry.to_document(),
         "parameters": _parameters(fit.model),
         "quality": {
             "samples": fit.samples,
@@ -268,7 +180,7 @@ class _Model(documents.Document):
     segment: str = ""
 
 
-def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
+def read_model(path: Path, geometry: SocketGeometry | None = None) -> FittedModel:
     """Read a model that `write_model` wrote.
 
     Args:
@@ -292,7 +204,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     fitted_on = socket_from_document(document.geometry, f"{path}: geometry")
     # JSON has null in place of NaN.
     errors = [{k: math.nan if v is None else v for k, v in e.items()} for e in quality.errors]
-    stored = StoredModel(
+    found = FittedModel(
         model=document.parameters.model(fitted_on, f"{path}: parameters"),
         geometry=fitted_on,
         settings=IdentificationSettings.from_flat(document.settings, f"{path}: settings"),
@@ -308,5 +220,5 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         segment=document.segment,
     )
     if geometry is not None:
-        stored.require_socket(geometry)
-    return stored
+        found.require_socket(geometry)
+    return found

@@ -25,9 +25,9 @@ from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import Fit
+from socket_testbed.identification.fit import Fit, FittedModel
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
-from socket_testbed.identification.model_file import StoredModel, read_model
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.plausibility import channel_limits
 from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
 from socket_testbed.samples import Samples
@@ -172,8 +172,7 @@ class OnlineEstimator:
         geometry: The socket, with n tiles and c clusters.
         settings: Returns the current settings, which may change at any time.
         fitter: The process that fits.
-        notify: Called with each new model: a `Fit`, in a thread of the fitter, or a loaded
-            `StoredModel`.
+        notify: Called with each new model: a fit, in a thread of the fitter, or a loaded one.
 
     Attributes:
         map: Maps the forces on all tiles.
@@ -186,7 +185,7 @@ class OnlineEstimator:
         geometry: SocketGeometry,
         settings: Callable[[], EstimatorSettings],
         fitter: FitWorker,
-        notify: Callable[[Fit | StoredModel], None],
+        notify: Callable[[FittedModel], None],
     ) -> None:
         self._geometry = geometry
         self._settings = settings

@@ -11,8 +11,9 @@ from support import results_by_hand, scene
 from support.arrivals import Stage, changes
 
 from socket_testbed.identification import validation
-from socket_testbed.report import results
-from socket_testbed.report.results import Results
+from socket_testbed.identification.fit import FittedModel
+from socket_testbed.results.models import judge
+from socket_testbed.results.report import Results, compute_results
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
@@ -70,22 +71,23 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
     def mapped(trial: Trial, own: EstimatorSettings) -> Any:
         stage.seen |= {"prior": own.force_map.length, "map without": own.identification.leave_out}
 
-        def over(segment: Segment) -> Any:
+        def part(segment: Segment) -> Any:
             stage.seen["pressure over"] = str(segment)
-            return SimpleNamespace(outputs=SimpleNamespace(peak_row=5))
+            outputs = SimpleNamespace(peak_row=5)
+            return SimpleNamespace(pressure=lambda: SimpleNamespace(outputs=outputs))
 
         def course(count: int, rows: list[int]) -> None:
             stage.seen["course with"] = rows
 
-        return SimpleNamespace(over=over, course=course)
+        return SimpleNamespace(part=part, course=course)
 
-    stage.replace("report.results.fit_contact_model", fitted)
-    stage.replace("report.results.predictions", predicted)
-    stage.replace("report.results.evaluate", evaluated)
-    stage.replace("report.results.pareto_front", traced)
-    stage.replace("report.results.judge_samples", validated)
-    stage.replace("report.results.mapped_trial", mapped)
-    stage.replace("report.results.smooth_poses", lambda samples, window: (len(samples), window))
+    stage.replace("results.models.fit_contact_model", fitted)
+    stage.replace("identification.fit.predictions", predicted)
+    stage.replace("results.models.evaluate", evaluated)
+    stage.replace("results.report.pareto_front", traced)
+    stage.replace("results.report.judge_samples", validated)
+    stage.replace("results.report.map_trial", mapped)
+    stage.replace("results.models.smooth_poses", lambda samples, window: (len(samples), window))
     for name, places in {
         "measure_motion": ("", "", "averaged to move"),
         "load_shares": ("averaged to share", ""),
@@ -93,7 +95,9 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
     }.items():
         stage.keep(f"identification.information.{name}", *places)
     stage.patch.setattr(Trial, "plateaus", lambda trial, own: [own.plateau.least_force])
-    found = results.compute_results(stage.trial, "2:5", settings, [0.0, 1.0], given)
+    found = compute_results(stage.trial, "2:5", settings, [0.0, 1.0], given)
+    for judged in found.candidates.values():
+        assert judged.held_out and judged.load_shares() is judged.engagement() is None
     stage.seen |= {"plateaus above": found.plateaus, "segment": str(found.segment)}
     stage.seen["notes"] = found.bag_notes
     return stage.seen
@@ -171,11 +175,7 @@ def test_a_given_model_leaves_its_own_out(
     made = results_by_hand.fit_by_hand(
         stage.trial.samples(), stage.trial.geometry, settings_of(leave_out=given).identification
     )
-    unused = np.zeros(96, dtype=bool)
-    model: Any = SimpleNamespace(
-        model=made.model, settings=made.settings, used=lambda *trial: unused
-    )
-    found = computed(stage, settings_of(leave_out=own), model)
+    found = computed(stage, settings_of(leave_out=own), made)
     assert (NOTE in found["notes"]) is noted
 
 
@@ -193,9 +193,8 @@ def test_a_given_model_is_held_out_elsewhere(
     made = results_by_hand.fit_by_hand(
         stage.trial.samples(), stage.trial.geometry, settings_of().identification
     )
-    model: Any = SimpleNamespace(model=made.model, settings=made.settings, used=lambda *trial: rows)
-    segment = Segment("span", 2.0, 5.0, slice(8, 21))
-    found = results._judge(stage.trial, segment, "given", model)
+    stage.patch.setattr(FittedModel, "used", lambda model, *trial: rows)
+    found = judge(stage.trial, made, Segment("span", 2.0, 5.0, slice(8, 21)))
     assert found.held_out[0].samples == judged and found.errors[0].samples == 13
     assert found.in_sample is inside
 
@@ -207,12 +206,11 @@ def test_ten_held_out_samples_of_a_channel_count(
     counts: tuple[int, int], held_out: bool, stage: Stage
 ) -> None:
     errors = tuple(SimpleNamespace(samples=count) for count in counts)
-    stage.replace("report.results.evaluate", lambda *given: errors)
+    stage.replace("results.models.evaluate", lambda *given: errors)
     made = results_by_hand.fit_by_hand(
         stage.trial.samples(), stage.trial.geometry, settings_of().identification
     )
-    segment = Segment("span", 2.0, 5.0, slice(8, 21))
-    found = results._judge(stage.trial, segment, "stiffness", made)
+    found = judge(stage.trial, made, Segment("span", 2.0, 5.0, slice(8, 21)))
     assert found.held_out == (errors if held_out else ())
 
 
@@ -223,7 +221,7 @@ def test_ten_held_out_samples_of_a_channel_count(
 )
 def test_the_relation_of_errors_is_in_words(inside: tuple[bool, ...], words: str) -> None:
     candidates = [SimpleNamespace(in_sample=each) for each in inside]
-    own: Any = SimpleNamespace(candidates=candidates)
+    own: Any = SimpleNamespace(candidates=dict(enumerate(candidates)))
     assert Results.judged_on.fget(own) == words  # type: ignore[attr-defined]
 
 

@@ -367,9 +367,9 @@ def test_a_cluster_may_begin_in_the_second_half(linear):
 
 
 def test_a_regression_comes_back_from_its_file(linear, tmp_path):
-    geometry, samples, _, fit = linear
+    _, samples, _, fit = linear
     path = tmp_path / "model.json"
-    write_model(fit, geometry, {"name": "made up"}, "all", path)
+    write_model(fit, path, {"name": "made up"})
     found = read_model(path).model.wrench(samples.pose)
     np.testing.assert_allclose(found, fit.model.wrench(samples.pose), atol=1e-6)
 

@@ -19,9 +19,9 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.fit import Fit, FittedModel, fit_contact_model
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
-from socket_testbed.identification.model_file import StoredModel, read_model
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.live import estimator
 from socket_testbed.live.fit_worker import Contest, FitWorker, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
@@ -68,7 +68,7 @@ class Bench:
     def __init__(self, trial: Trial, **window: Any) -> None:
         self.fitter: Any = FakeFitter()
         self.settings = EstimatorSettings(window=WindowSettings(**window), force_map=PRIOR)
-        self.models: list[Fit | StoredModel] = []
+        self.models: list[FittedModel] = []
         self.mapped: list[int] = []  # stamps in periods
         self.predicted: dict[int, np.ndarray] = {}  # wrenches by stamp in periods
         self.geometry = trial.geometry
@@ -401,7 +401,7 @@ def test_a_model_of_another_socket_is_refused(
 def test_a_stored_model_predicts_at_once(bench: Bench, hold_model: Path) -> None:
     bench.estimator.load(hold_model)
     (reported,) = bench.models
-    assert isinstance(reported, StoredModel) and reported.trial == read_model(hold_model).trial
+    assert isinstance(reported, FittedModel) and reported.trial == read_model(hold_model).trial
     assert bench.estimator.state == (0, f"predicting with the model of {reported.trial}")
     bench.send(2)
     for topic, value in bench.values(np.nan).items():  # a marker is occluded
