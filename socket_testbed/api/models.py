@@ -551,11 +551,13 @@ def evaluate(
     leave_out = stored.settings.leave_out
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
     chosen = trial.select(segment, settings)
-    rows = trial.checked(leave_out).posed(chosen.rows)
+    checked = trial.checked(leave_out)
+    rows = checked.posed(chosen.rows)
     note_problems(trial, leave_out)
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.note(f"the model was fitted {fitted} --unloaded: its offsets differ")
-    errors = _evaluate(rows, _predictions(rows, stored), leave_out)
+    # A predictor with memory needs what came before the segment.
+    errors = _evaluate(rows, _predictions(checked.samples, stored)[chosen.rows], leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.has_pose_and_wrench.sum()), errors, outputs)

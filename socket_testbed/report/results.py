@@ -266,7 +266,7 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
         label=label,
         source=source,
         predicted=predicted,
-        errors=evaluate(chosen, predictions(chosen, model, window), leave_out),
+        errors=evaluate(chosen, predicted[segment.rows], leave_out),
         in_sample=bool(used[segment.rows].any()),
         held_out=held_out if enough else (),
         shares=information.load_shares(smooth_poses(chosen, window), model),

@@ -247,8 +247,10 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
         calls.append(("fitted", (samples[0], samples[-1]), own.theta))
         return {"rigid": SimpleNamespace()}
 
-    def wrench(samples: Any, predictors: Any, test: str, *names: str) -> list[str]:
-        calls.append((test, samples.tolist(), predictors, *names))
+    def wrench(
+        samples: Any, predictors: Any, test: str, fitted_on: str, tested_on: str, rows: Any
+    ) -> list[str]:
+        calls.append((test, samples[rows].tolist(), predictors, fitted_on, tested_on))
         return [test]
 
     def tiles(samples: Any, geometry: Any, truth: Any, estimators: Any, name: str) -> list[str]:
@@ -291,11 +293,9 @@ def test_judgements_are_made_with_the_settings(stage: Stage) -> None:
         ("split", 35.0),
         ("clusters", 0.05, 35.0, "scene"),
         ("fitted", (0, 19), 0.25),
-        ("averaged", (0, 19), 1.5),
-        ("averaged", (20, 39), 1.5),
+        ("averaged", (0, 39), 1.5),
         ("in-sample", [0, 9, 19], "of 0: 19", "scene", "scene"),
         ("second half", [20, 29, 39], "of 0: 19", "scene", "scene"),
-        ("averaged", (0, 39), 1.5),
         ("prior", 0.05),
         ("tiles", [20, 29, 39], [120, 129, 139], ["map", "rigid"], "scene"),
     ]

@@ -257,7 +257,7 @@ def test_what_is_written_comes_back(tmp_path):
     path = tmp_path / "testbed.yaml"
     estimator = testbed.EstimatorSettings(
         geometry="socket.yaml",
-        identification=IdentificationSettings(leave_out=("Mz",), theta=0.3, wrench_sharpness=()),
+        identification=IdentificationSettings(leave_out=("Mz",), theta=0.3),
     )
     trigger = TriggerSettings(rate=20.0, wait_for=("mocap_node",), simulation="world")
     testbed.write_testbed({"estimator_node": estimator, "trigger_node": trigger}, path)
