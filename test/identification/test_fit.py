@@ -17,7 +17,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification import fit as fitting
 from socket_testbed.identification import solver as solving
 from socket_testbed.identification.contact import LAWS, ContactModel, wrench_map
-from socket_testbed.identification.model_file import read_model, write_model
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.problem import MIN_SAMPLES, Problem, build_objective
 from socket_testbed.identification.solver import WARM_START, BoxQP, pivot_regularised, solve_box_qp
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, IdentificationSettings
