@@ -459,10 +459,10 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
     return model
 
 
-def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
+def _predictions(samples: Samples, stored: StoredModel, past: Samples | None = None) -> FloatArray:
     """Predictions of a model, shape (N, 6 + 3c) [N m, N], with poses averaged as in its fit."""
     with threadpool_limits(1):
-        return stored.predictions(samples)
+        return stored.predictions(samples, past)
 
 
 def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
@@ -557,7 +557,7 @@ def evaluate(
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.note(f"the model was fitted {fitted} --unloaded: its offsets differ")
-    # A predictor with memory needs what came before the segment.
-    errors = _evaluate(rows, _predictions(checked.samples, stored)[chosen.rows], leave_out)
+    past = checked.samples[: chosen.rows.start]
+    errors = _evaluate(rows, _predictions(rows, stored, past), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.has_pose_and_wrench.sum()), errors, outputs)

@@ -181,16 +181,22 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     )
 
 
-def predictions(samples: Samples, model: ContactModel, window: float) -> FloatArray:
+def predictions(
+    samples: Samples, model: ContactModel, window: float, past: Samples | None = None
+) -> FloatArray:
     """Predictions of all channels in the order of `Samples.channels`, (N, 6 + 3c) [N m, N].
 
     Args:
         samples: N samples, of which the stamps, the poses and the names of the c clusters matter.
         model: The model, which has these clusters.
         window: Width of the centred window over which poses are averaged [s]; 0: not averaged.
+        past: The samples before these, which a model with memory needs; None for no past.
     """
+    trail = model.trail()
+    if past is not None and trail is not None:
+        model.wrench(smooth_poses(past, window).pose, past.stamps, trail)
     pose = smooth_poses(samples, window).pose
-    return model.predict(pose, samples.clusters, samples.stamps)
+    return model.predict(pose, samples.clusters, samples.stamps, trail)
 
 
 def evaluate(

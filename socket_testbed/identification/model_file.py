@@ -79,13 +79,14 @@ class StoredModel:
     unloaded: tuple[tuple[float, float], ...]
     segment: str
 
-    def predictions(self, samples: Samples) -> FloatArray:
+    def predictions(self, samples: Samples, past: Samples | None = None) -> FloatArray:
         """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
 
-        The poses of the N samples are averaged as in the fit. A model with memory starts with the
-        first of them: give it all samples of a trial.
+        Args:
+            samples: N samples, whose poses are averaged as in the fit.
+            past: The samples before these, which a model with memory needs; None for no past.
         """
-        return predictions(samples, self.model, self.settings.pose_smoothing)
+        return predictions(samples, self.model, self.settings.pose_smoothing, past)
 
     def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
         """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.

@@ -255,6 +255,7 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
     samples = trial.checked(leave_out).samples
     chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
+    over_segment = predictions(chosen, model, window, samples[: segment.rows.start])
     inside = _rows_of(segment, samples)
     used = (
         inside if isinstance(source, Fit) else source.used(trial.name, trial.fingerprint, samples)
@@ -266,7 +267,7 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
         label=label,
         source=source,
         predicted=predicted,
-        errors=evaluate(chosen, predicted[segment.rows], leave_out),
+        errors=evaluate(chosen, over_segment, leave_out),
         in_sample=bool(used[segment.rows].any()),
         held_out=held_out if enough else (),
         shares=information.load_shares(smooth_poses(chosen, window), model),
