@@ -648,7 +648,11 @@ class ContactModel:
         return None if self.of_wrench is None else self.of_wrench.trail()
 
     def predict(
-        self, pose: FloatArray, clusters: Sequence[str], stamps: IntArray | None = None
+        self,
+        pose: FloatArray,
+        clusters: Sequence[str],
+        stamps: IntArray | None = None,
+        trail: PoseTrail | None = None,
     ) -> FloatArray:
         """Every channel in the order of `channel_names`, shape (N, 6 + 3c) [N m, N].
 
@@ -660,6 +664,7 @@ class ContactModel:
             clusters: Names of the clusters, in the order of their channels.
             stamps: Times of the poses since the epoch, ascending, shape (N,) [ns], which a
                 predictor of the wrench with memory needs; None for poses that have no past.
+            trail: What went before, which the poses are added to; None for nothing.
 
         Raises:
             ConfigurationError: If the model does not have one of the clusters.
@@ -671,7 +676,7 @@ class ContactModel:
                 "fit a model on a trial that has it",
             )
         predicted = np.empty((len(pose), 6 + 3 * len(clusters)))
-        trail = self.trail()
+        trail = trail or self.trail()
         for start in range(0, len(pose), _CHUNK):
             rows = slice(start, start + _CHUNK)
             local = self.cluster_forces(pose[rows])

@@ -182,16 +182,22 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     )
 
 
-def predictions(samples: Samples, model: ContactModel, window: float) -> FloatArray:
+def predictions(
+    samples: Samples, model: ContactModel, window: float, past: Samples | None = None
+) -> FloatArray:
     """Predictions of all channels in the order of `Samples.channels`, (N, 6 + 3c) [N m, N].
 
     Args:
         samples: N samples, of which the stamps, the poses and the names of the c clusters matter.
         model: The model, which has these clusters.
         window: Width of the centred window over which poses are averaged [s]; 0: not averaged.
+        past: The samples before these, which a model with memory needs; None for no past.
     """
+    trail = model.trail()
+    if past is not None and trail is not None:
+        model.wrench(smooth_poses(past, window).pose, past.stamps, trail)
     pose = smooth_poses(samples, window).pose
-    return model.predict(pose, samples.clusters, samples.stamps)
+    return model.predict(pose, samples.clusters, samples.stamps, trail)
 
 
 def evaluate(
@@ -255,13 +261,14 @@ class FittedModel:
     unloaded: tuple[tuple[float, float], ...] = ()
     segment: str = ""
 
-    def predictions(self, samples: Samples) -> FloatArray:
+    def predictions(self, samples: Samples, past: Samples | None = None) -> FloatArray:
         """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
 
-        The poses of the N samples are averaged as in the fit. A model with memory starts with the
-        first of them: give it all samples of a trial.
+        Args:
+            samples: N samples, whose poses are averaged as in the fit.
+            past: The samples before these, which a model with memory needs; None for no past.
         """
-        return predictions(samples, self.model, self.settings.pose_smoothing)
+        return predictions(samples, self.model, self.settings.pose_smoothing, past)
 
     def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
         """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.

@@ -374,9 +374,9 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     leave_out = model.settings.leave_out
     checked = trial.checked(leave_out)
     samples = checked.posed(segment.rows)
+    past = checked.samples[: segment.rows.start]
     with threadpool_limits(1):
-        # A predictor with memory needs what came before the segment.
-        predicted = model.predictions(checked.samples)[segment.rows]
+        predicted = model.predictions(samples, past)
     errors = evaluate(samples, predicted, leave_out)
     return Evaluation(trial, model, segment, int(samples.has_pose_and_wrench.sum()), errors)
 

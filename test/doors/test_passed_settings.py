@@ -48,7 +48,7 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
         stage.seen |= {"fitted": len(samples), "theta": own.theta}
         return results_by_hand.fit_by_hand(samples, geometry, own)
 
-    def predicted(samples: Samples, model: Any, window: float) -> np.ndarray:
+    def predicted(samples: Samples, model: Any, window: float, past: Any = None) -> np.ndarray:
         stage.seen[f"averaged to predict {len(samples)}"] = window
         return np.zeros((len(samples), 18))
 
@@ -112,6 +112,7 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"pose_smoothing": 1.5},
         {
             "averaged to predict 96": 1.5,
+            "averaged to predict 13": 1.5,
             "averaged to move": 1.5,
             "averaged to share": (13, 1.5),
             "averaged to engage": 1.5,
@@ -132,6 +133,8 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {
             "fitted": 7,
             "traced": 7,
+            "averaged to predict 13": "nothing",
+            "averaged to predict 7": 0.0,
             "averaged to share": (7, 0.0),
             "segment": "span 2.00 s to 3.50 s",
         },
@@ -308,7 +311,7 @@ def test_an_unseen_half_has_the_settings(stage: Stage) -> None:
         calls.append(("fitted", len(samples), own.theta))
         return SimpleNamespace(model="a model")
 
-    def predicted(samples: Samples, model: Any, window: float) -> Any:
+    def predicted(samples: Samples, model: Any, window: float, past: Any = None) -> Any:
         calls.append((model, len(samples), window))
         return np.arange(96)
 
