@@ -94,6 +94,8 @@ class SocketGeometry:
         turned: Angle from the tile's x axis to the cluster's x axis about the inward normal
             [rad], keyed by the cluster's name; zero for a cluster that is not a key.
         scan: Unit and pose of the scan from which the tiles were made; None if unknown.
+        tile_share: Share of the inner wall's area that the tiles cover, in (0, 1] [-]; None if
+            unknown.
     """
 
     names: tuple[str, ...]
@@ -111,6 +113,7 @@ class SocketGeometry:
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
     turned: dict[str, float] = field(default_factory=dict)
     scan: ScanFrame | None = None
+    tile_share: float | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -238,6 +241,8 @@ class SocketGeometry:
         if self.scan:
             pose = pose_document(self.scan.in_load_cell)
             document["scan"] = {"unit": self.scan.unit, "in_load_cell": pose}
+        if self.tile_share is not None:
+            document["tile_share"] = self.tile_share
         document["tiles"] = {
             name: {"anchor": rounded(anchor), "frame": rounded(frame), "area": float(area)}
             for name, anchor, frame, area in zip(
@@ -275,6 +280,7 @@ _HEADER = """\
 # frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal of the
 # surface, x the tangent towards the proximal end, y = z x x.
 # source: origin of the tiles; scan: its unit [m] and the pose of its frame in {S}.
+# tile_share: share of the inner wall's area that the tiles cover.
 # clusters: the tile under each; turned: from the tile's x to the cluster's, about z [deg].
 # regions: your own, each a list of tiles; they may overlap.
 # bodies: the markers of each in its own frame; in_load_cell: the socket body's pose in {S};
@@ -338,6 +344,7 @@ class _Socket(Document):
     bodies: _Bodies
     source: Text = ""
     scan: _Scan | None = None
+    tile_share: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
     regions: dict[str, list[Text]] = msgspec.field(default_factory=dict)
 
 
@@ -408,6 +415,7 @@ def socket_from_document(data: Any, where: str) -> SocketGeometry:
         regions=find_regions(document.regions, names, f"{where}: regions"),
         turned={name: float(np.radians(at.turned)) for name, at in on.items() if at.turned},
         scan=ScanFrame(scan.unit, scan.in_load_cell.pose()) if scan else None,
+        tile_share=document.tile_share,
     )
 
 

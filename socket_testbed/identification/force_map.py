@@ -24,7 +24,8 @@ its frame. With the noise R of the channels
 (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). These
 hyperparameters are uncertain. The common amplitude has an inverse-gamma prior and is integrated
 out. The others follow wide distributions (`ForceMapSettings`), from which a quasi-random sequence
-draws M hypotheses, weighted by their mean evidence: over the trial, or live over recent samples.
+draws M hypotheses, weighted by their mean evidence to the power 0.6: over the trial, or live over
+recent samples.
 """
 
 from __future__ import annotations
@@ -51,6 +52,8 @@ NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interva
 _NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
 _AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
 _EVIDENCE_MEMORY = 1000  # live samples over which the evidence is averaged
+_EVIDENCE_POWER = 0.6  # [-]; the prior's laws are no limb's: trust the evidence less than fully
+_TILE_SHARE_SPREAD = 0.03  # [-]; of the load, about the share of the wall that the tiles cover
 _MIN_WEIGHT = 2e-3  # of a hypothesis, relative to the likeliest
 _MAX_SAMPLES = 500  # samples of a trial, evenly spread
 _CHUNK = 256  # samples
@@ -274,7 +277,7 @@ class ForceMap:
         self._clusters = clusters
         self._areas = geometry.areas
         self._normals = geometry.rotations[:, :, 2]
-        guesses = hypotheses(settings or ForceMapSettings())
+        guesses = hypotheses(settings or ForceMapSettings(), geometry.tile_share)
         self._priors = [Prior(geometry, clusters, sizes) for sizes in guesses]
         # Per hypothesis: covariances of the channels, (M, c, c), and of the forces with the
         # channels, (M, n, 4, c), and variances of the forces, (M, n, 4).
@@ -606,20 +609,30 @@ class Hypothesis:
 _UNCERTAIN = 11  # hyperparameters that `hypotheses` spreads
 
 
-def hypotheses(settings: ForceMapSettings) -> Iterator[Hypothesis]:
+def hypotheses(
+    settings: ForceMapSettings, tile_share: float | None = None
+) -> Iterator[Hypothesis]:
     """The prior's hyperparameters, spread evenly over their distributions; one has the medians.
 
     `drag` and `share` are normally distributed, the other uncertain ones log-normally.
+
+    Args:
+        settings: Medians and spreads.
+        tile_share: Share of the wall that the tiles cover [-], which is then the mean share of the
+            load, +- 0.03; None for that of the settings.
     """
 
     def log_normal(median: float, deviation: float, point: float) -> float:
         return float(median * np.exp(deviation * point))
 
+    mean_share, share_spread = settings.share, settings.share_spread
+    if tile_share is not None:
+        mean_share, share_spread = tile_share, _TILE_SHARE_SPREAD
     spread = settings.spread
     for point in _normal_points(settings.draws, _UNCERTAIN).tolist():
         shear, preload, bed, sinking, rotation, bed_shear, bed_variation = point[:7]
         length, cluster_error, drag, share = point[7:]
-        borne = settings.share + settings.share_spread * share
+        borne = mean_share + share_spread * share
         yield Hypothesis(
             normal_deviation=settings.normal_deviation,
             length=log_normal(settings.length, settings.length_spread, length),
@@ -657,7 +670,7 @@ def _normal_points(count: int, dimensions: int) -> FloatArray:
 
 def _probabilities(log_evidence: FloatArray) -> FloatArray:
     """Probabilities of the hypotheses from their evidence, shape (M,) [-]; 0 for unlikely ones."""
-    weights = np.exp(log_evidence - log_evidence.max())
+    weights = np.exp(_EVIDENCE_POWER * (log_evidence - log_evidence.max()))
     weights[weights < _MIN_WEIGHT] = 0.0
     return np.asarray(weights / weights.sum())
 

@@ -250,7 +250,7 @@ class ForceMapSettings(Settings):
         1e2,
     )
     bed_shear: float = setting(
-        0.05, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
+        0.15, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
     )
     bed_variation: float = setting(
         0.7,
@@ -265,8 +265,15 @@ class ForceMapSettings(Settings):
         0.1, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
     drag_spread: float = setting(0.1, "standard deviation of drag [-]", 0.0, 0.5)
-    share: float = setting(0.88, "mean share of the load borne by the tiles [-]", MIN_SHARE, 1.0)
-    share_spread: float = setting(0.07, "standard deviation of share [-]", 0.0, 0.3)
+    share: float = setting(
+        0.88,
+        "mean share of the load borne by the tiles, for a socket.yaml without tile_share [-]",
+        MIN_SHARE,
+        1.0,
+    )
+    share_spread: float = setting(
+        0.07, "standard deviation of share, for a socket.yaml without tile_share [-]", 0.0, 0.3
+    )
     moment_error: float = setting(
         0.7, "offset of a moment, including the surface between tiles [N m]", 1e-6, 1e2
     )

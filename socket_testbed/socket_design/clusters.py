@@ -268,7 +268,7 @@ class _ExpectedError:
         self._noise: list[FloatArray] = []
         names = geometry.names
         everywhere = replace(geometry, clusters={name: tile for tile, name in enumerate(names)})
-        for sizes in hypotheses(ForceMapSettings(draws=_HYPOTHESES)):
+        for sizes in hypotheses(ForceMapSettings(draws=_HYPOTHESES), geometry.tile_share):
             prior = Prior(everywhere, names, sizes)
             whole, onto = prior.covariance(), prior.mapping[:6]
             mapped = whole @ onto.T

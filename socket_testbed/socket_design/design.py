@@ -206,9 +206,8 @@ class SocketDesign:
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        covered = self.tiling.footprint_areas.sum() / self.tiling.interior_area
         return (
-            f"SocketDesign({self.name}: {len(self.geometry)} tiles on {covered:.0%} of"
+            f"SocketDesign({self.name}: {len(self.geometry)} tiles on {self.tiling.cover:.0%} of"
             f" {1e4 * self.tiling.interior_area:.0f} cm^2)"
         )
 
@@ -229,7 +228,7 @@ class SocketDesign:
             "{S}": self.placement.source,
             "tiles": f"{tiles} of {edge:g} x {edge:g} mm",
             "covered": f"{covered:.0f} of {area:.0f} cm^2 of the interior"
-            f" ({100 * covered / area:.0f} %); {cover_inside}",
+            f" ({100 * tiling.cover:.0f} %); {cover_inside}",
             "upper bound": f"{tiling.upper_bound:.1f} tiles by area:"
             f" {100 * tiles / tiling.upper_bound:.0f} % reached",
             "largest gap": f"{1e3 * tiling.largest_gap:.0f} mm from the nearest tile",
@@ -459,4 +458,5 @@ def _tiled_socket(
         regions={},
         turned=turned,
         scan=scan,
+        tile_share=round(tiling.cover, 3),
     )

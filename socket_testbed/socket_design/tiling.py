@@ -285,6 +285,11 @@ class Tiling:
     clusters: tuple[LaidCluster, ...] = ()
 
     @property
+    def cover(self) -> float:
+        """Share of the interior's area that the tiles cover, at most 1 [-]."""
+        return min(float(self.footprint_areas.sum()) / self.interior_area, 1.0)
+
+    @property
     def upper_bound(self) -> float:
         """Interior area over tile area [-]: no tiling has more tiles."""
         return self.interior_area / self.squares.edge**2
