@@ -22,6 +22,7 @@ from socket_testbed.identification.contact import wrench_map
 from socket_testbed.samples import Samples
 
 _STEPS = 24  # load states of a trial
+_SHARE_SPREAD = 0.05  # [-]; wider than the map assumes
 _ARM = 0.06  # [m]; where a rotation moves a tile as far as a translation
 _GAIN, _OFFSET, _NOISE = 0.03, 0.3, 0.1  # of a cluster's channels: [-], [N], [N]
 _WRENCH_OFFSET = np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])  # [N m], [N]
@@ -61,6 +62,12 @@ class Limb:
         moved = -down[:, None] * proximal + shift @ across
         return moved[:, None] + np.cross(turn[:, None], (anchors - anchors.mean(axis=0)) / _ARM)
 
+    def share(self) -> float:
+        """A share of the load on the tiles [-], about the share of the wall that they cover."""
+        covered = self.geometry.tile_share
+        assert covered is not None
+        return min(self.rng.normal(covered, _SHARE_SPREAD), 1.0)
+
     def _walk(self) -> FloatArray:
         """A smooth random course of the size 1, shape (N,)."""
         time, rng = np.linspace(0.0, 2.0 * np.pi, _STEPS), self.rng
@@ -73,7 +80,13 @@ class Limb:
         return outward, vectors + outward[..., None] * self.normals
 
     def trial(self, forces: FloatArray, share: float, load: float | None) -> Trial:
-        """What the testbed measures of forces, which are scaled to a mean load [N]."""
+        """What the testbed measures of forces, which are scaled to a mean load [N].
+
+        Args:
+            forces: Forces on the tiles in {S}, shape (N, n, 3).
+            share: Share of the wrench that the tiles bear [-].
+            load: Mean load [N]; None for the forces as they are.
+        """
         geometry, rng = self.geometry, self.rng
         wrench = forces.reshape(len(forces), -1) @ wrench_map(geometry.anchors).T / share
         scale = 1.0 if load is None else load / np.abs(wrench[:, 5]).mean()
@@ -111,7 +124,7 @@ def friction_bed(limb: Limb) -> Trial:
         held *= _within(held, friction * normal)
         last = moved
         found.append(held - normal[:, None] * limb.normals)
-    return limb.trial(np.array(found[5:]), rng.uniform(0.7, 1.0), rng.uniform(250.0, 700.0))
+    return limb.trial(np.array(found[5:]), limb.share(), rng.uniform(250.0, 700.0))
 
 
 def finite_elements(limb: Limb) -> Trial:
@@ -129,7 +142,7 @@ def finite_elements(limb: Limb) -> Trial:
         shear = np.linalg.solve(tangential, sideways)
         shear *= _within(shear, friction * normal)
         found.append(limb.split(shear)[1] - normal[:, None] * limb.normals)
-    return limb.trial(np.array(found), rng.uniform(0.9, 1.0), rng.uniform(250.0, 700.0))
+    return limb.trial(np.array(found), limb.share(), rng.uniform(250.0, 700.0))
 
 
 def published_law(limb: Limb) -> Trial:

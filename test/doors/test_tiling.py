@@ -371,6 +371,8 @@ def test_a_round_wall_s_tile_has_its_area(tmp_path: Path) -> None:
     )
     assert design.geometry.areas == pytest.approx(20.25e-4)
     assert design.tiling.footprint_areas == pytest.approx(21.0e-4, rel=0.01)
+    covered = len(design.geometry) * 21.0e-4 / design.tiling.interior_area
+    assert design.geometry.tile_share == pytest.approx(covered, rel=0.01)
     assert design.tiling.flatness.max() == pytest.approx(5.3e-3, abs=6e-4)
 
 
@@ -382,6 +384,7 @@ def test_a_narrow_strip_has_no_inside() -> None:
     assert math.isnan(found.cover_inside)
     assert found.interior_area == pytest.approx(165.6e-4)  # 368 * 45 mm^2
     assert found.footprint_areas[0] == pytest.approx(20.25e-4)
+    assert found.cover == pytest.approx(len(found.footprint_areas) * 20.25 / 165.6, rel=0.02)
 
 
 def test_a_cluster_is_laid_at_some_distance() -> None:

@@ -373,6 +373,25 @@ def test_a_turned_cluster_is_written_in_degrees(tmp_path) -> None:
     assert bare.startswith("the marker bodies are nominal")
 
 
+def test_the_tiles_share_of_the_wall_is_written(tmp_path) -> None:
+    write_socket(replace(GEOMETRY, tile_share=0.818), tmp_path / "socket.yaml")
+    assert "\ntile_share: 0.818\n" in (tmp_path / "socket.yaml").read_text()
+    assert read_socket(tmp_path / "socket.yaml").tile_share == 0.818
+
+
+def test_a_socket_without_a_tile_share_has_none() -> None:
+    document = GEOMETRY.to_document()
+    assert "tile_share" not in document
+    assert socket_from_document(document, "").tile_share is None
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1, 1.01, 82.0])
+def test_a_tile_share_beyond_the_wall_is_refused(share: float) -> None:
+    document = GEOMETRY.to_document() | {"tile_share": share}
+    with pytest.raises(ConfigurationError, match=r"^a\.yaml: tile_share"):
+        socket_from_document(document, "a.yaml")
+
+
 def test_a_turn_is_kept_to_a_nanodegree() -> None:
     turned = replace(GEOMETRY, turned={"distal": float(np.radians(-12.3456789))})
     document = turned.to_document()

@@ -13,7 +13,7 @@ from socket_testbed.identification import contact, force_map, problem
 from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.contact import Loading, PaperLaw, RigidLaw
 from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import Samples, Status, local_channels
 from socket_testbed.settings.identification import (
     ForceMapSettings,
     IdentificationSettings,
@@ -346,9 +346,9 @@ def test_correlation_falls_with_distance() -> None:
 
 
 def test_unlikely_hypotheses_do_not_count() -> None:
-    """Less than 1 / 500 of the likeliest."""
-    found = force_map._probabilities(3.0 + np.log([1.0, 0.5, 0.0021, 0.0019]))
-    assert found == pytest.approx(np.array([1.0, 0.5, 0.0021, 0.0]) / 1.5021)
+    """Of evidence to the power 0.6, less than 1 / 500 of the likeliest."""
+    found = force_map._probabilities(3.0 + np.log([1.0, 0.5, 3.2e-5, 3.1e-5]))
+    assert found == pytest.approx(np.array([1.0, 0.6597540, 0.0020094, 0.0]) / 1.6617634, rel=1e-4)
 
 
 def test_a_magnitude_is_uncertain_by_rice() -> None:
@@ -382,6 +382,27 @@ def test_hypotheses_have_their_spreads() -> None:
         assert logs.std() == pytest.approx(spread, rel=0.08), name
     for name, spread in (("drag", 0.3), ("share", 0.05)):
         assert np.std([getattr(each, name) for each in found]) == pytest.approx(spread, rel=0.08)
+
+
+def test_the_wall_under_the_tiles_bears_its_share() -> None:
+    """Within 0.03, whatever the settings say of other sockets."""
+    settings = replace(ForceMapSettings(), draws=256, share=0.5, share_spread=0.2)
+    shares = [each.share for each in force_map.hypotheses(settings, 0.7)]
+    assert shares[0] == pytest.approx(0.7)
+    assert np.mean(shares) == pytest.approx(0.7, abs=0.002)
+    assert np.std(shares) == pytest.approx(0.03, rel=0.08)
+
+
+def test_a_map_knows_its_tiles_share() -> None:
+    """Half the wall under tiles: the springs that the wrench shows bear about half of it."""
+    stated = replace(SOCKET, tile_share=0.5)
+    pushed = scene_samples()
+    pushed = pushed.without([name for cluster in CLUSTERS for name in local_channels(cluster)])
+    whole, half = (
+        force_map.ForceMap(socket, CLUSTERS).estimate(pushed).forces[0].sum(axis=0)[2]
+        for socket in (replace(SOCKET, tile_share=1.0), stated)
+    )
+    assert half / whole == pytest.approx(0.5, abs=0.1)
 
 
 def sizes(**changes: float) -> force_map.Hypothesis:
