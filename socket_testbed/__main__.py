@@ -93,7 +93,7 @@ def _parse(words: list[str]) -> argparse.Namespace:
         )
         if name == verb:
             add_options(subparser, CALLS[verb])
-            called, arguments = subparser, [verb, *release_paths(words[1:], subparser)]
+            called, arguments = subparser, [verb, *release_paths(words[1:], CALLS[verb])]
     if completed is not None:
         _complete(parser)
     called.words = words

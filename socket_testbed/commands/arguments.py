@@ -157,6 +157,11 @@ def _keywords(kind: Any) -> dict[str, Any]:
     raise TypeError(f"{kind} cannot be typed on a command line")
 
 
+def _lists_words(kind: Any) -> bool:
+    """Whether an option of a type takes several words."""
+    return Sequence[str] in (kind, *get_args(kind))
+
+
 def _help(text: str, shown: Any) -> str:
     """A text for the help: without the units of plain numbers, with the default."""
     text = re.sub(r" \[[-1]\]", "", text).replace("%", "%%")
@@ -166,17 +171,16 @@ def _help(text: str, shown: Any) -> str:
     return f"{text} (default: {f'{shown:g}' if isinstance(shown, float) else shown})"
 
 
-def release_paths(words: Sequence[str], parser: argparse.ArgumentParser) -> list[str]:
+def release_paths(words: Sequence[str], call: type[Options]) -> list[str]:
     """Move paths that follow the values of a list to the front.
 
     In `fit --leave-out Mz trials/hold` argparse would read the trial as a channel.
 
     Args:
         words: The arguments of a verb.
-        parser: The verb's parser.
+        call: The class of the verb's call, such as `commands.calls.Fit`.
     """
-    lists = [a for a in parser._actions if a.nargs == "+" and a.option_strings]
-    names = {name for action in lists if action.type is str for name in action.option_strings}
+    names = {option_of(name) for name, kind in get_type_hints(call).items() if _lists_words(kind)}
     kept, paths = [], []
     place = -1  # number of the value in a list; below 0 outside of one
     for word in words:

@@ -13,7 +13,7 @@ import pytest
 from socket_testbed import api
 from socket_testbed.commands import live, options, pages, results, terminal, trials
 from socket_testbed.commands.arguments import Parser, _help, add_options, release_paths
-from socket_testbed.commands.calls import ConfigurationOptions, Fit
+from socket_testbed.commands.calls import CALLS, ConfigurationOptions, Fit
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import packaged
@@ -300,22 +300,22 @@ def test_a_description_becomes_a_help(case: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "moved"),
+    ("verb", "words", "moved"),
     [
-        (["--leave-out", "Mz", "a/hold"], ["a/hold", "--leave-out", "Mz"]),
-        (["--leave-out", "a/b", "c/d"], ["c/d", "--leave-out", "a/b"]),
-        (["--leave-out", "Mz", "--theta", "0.5"], ["--leave-out", "Mz", "--theta", "0.5"]),
-        (["--columns", "c0=a", "c1=b/c"], ["--columns", "c0=a", "c1=b/c"]),
-        (["a/hold", "--leave-out", "Mz"], ["a/hold", "--leave-out", "Mz"]),
+        ("fit", ["--leave-out", "Mz", "a/hold"], ["a/hold", "--leave-out", "Mz"]),
+        ("fit", ["--leave-out", "a/b", "c/d"], ["c/d", "--leave-out", "a/b"]),
+        (
+            "fit",
+            ["--leave-out", "Mz", "--theta", "0.5"],
+            ["--leave-out", "Mz", "--theta", "0.5"],
+        ),
+        ("calibrate", ["--columns", "c0=a", "c1=b/c"], ["--columns", "c0=a", "c1=b/c"]),
+        ("fit", ["a/hold", "--leave-out", "Mz"], ["a/hold", "--leave-out", "Mz"]),
     ],
     ids=["after", "first value", "option", "assignment", "before"],
 )
-def test_a_path_behind_a_list_is_the_trial(words: list[str], moved: list[str]) -> None:
-    parser = Parser()
-    parser.add_argument("--leave-out", nargs="+", type=str)
-    parser.add_argument("--columns", nargs="+", type=str)
-    parser.add_argument("--theta", type=float)
-    assert release_paths(words, parser) == moved
+def test_a_path_behind_a_list_is_the_trial(verb: str, words: list[str], moved: list[str]) -> None:
+    assert release_paths(words, CALLS[verb]) == moved
 
 
 def test_options_of_several_trials_have_their_heading() -> None:
