@@ -43,6 +43,7 @@ from support.outputs import outputs_of  # a second implementation, for the tests
 
 _PROJECT = [f"project {tissue}" for tissue in TISSUES]
 _OUTPUTS = ("mean", "peak", "area", "integral", "centre", "shear", "direction", "share")
+_RATIOS = ("peak", "area", "integral")
 _SAMPLES = 24  # of a trial
 _LEAST_FORCE = 20.0  # [N]; below it the socket hangs free
 _BUDGET = 1.0  # [s]
@@ -62,7 +63,8 @@ def main() -> None:
         return
     print(f"\n{'':16} {'map: mean, worst':>17} {'rival':>7} {'worse':>6}   tiles' forces within"
           f" {', '.join(f'{100 * level:g}' for level in LEVELS)} %;"
-          f" outputs of regions and socket within 95 %: {', '.join(_OUTPUTS)}")  # fmt: skip
+          f" outputs of regions and socket within 95 %: {', '.join(_OUTPUTS)};"
+          f" estimated over true of the socket: {', '.join(_RATIOS)}")  # fmt: skip
     for family in arguments.families:
         trials = (make(geometry, family, seed) for seed in arguments.seeds)
         print(_row(family, [judge(geometry, trial) for trial in trials]), flush=True)
@@ -111,10 +113,13 @@ def judge(geometry: SocketGeometry, trial: Trial) -> dict[str, float]:
     regions = all_regions(geometry)
     outputs = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD).regions
     known = outputs_of(truth, samples.time, geometry, regions, THRESHOLD)
+    socket = [region.name for region in regions].index("socket")
     for name in _OUTPUTS:
         quantity, true = getattr(outputs, name), known[name]
         if name == "direction":
             true = quantity.value + (true - quantity.value + np.pi) % (2.0 * np.pi) - np.pi
+        if name in _RATIOS:
+            found[f"{name} ratio"] = float(quantity.value[socket] / true[socket])
         within = (quantity.low - 1e-12 <= true) & (true <= quantity.high + 1e-12)
         found[name] = float(within[np.isfinite(true)].mean())
     return found
@@ -133,9 +138,10 @@ def _row(family: str, results: list[dict[str, float]]) -> str:
     worse = sum(one > other for one, other in zip(columns["map"], columns["rival"], strict=True))
     tiles = " ".join(f"{100 * mean[f'{level}']:4.0f}" for level in LEVELS)
     outputs = " ".join(f"{100 * mean[name]:4.0f}" for name in _OUTPUTS)
+    ratios = " ".join(f"{mean[f'{name} ratio']:.2f}" for name in _RATIOS)
     return (
         f"{family:16} {mean['map']:9.3f}, {max(columns['map']):.3f} {mean['rival']:7.3f}"
-        f" {worse:2d}/{len(results)}  {tiles} ; {outputs}"
+        f" {worse:2d}/{len(results)}  {tiles} ; {outputs} ; {ratios}"
     )
 
 
