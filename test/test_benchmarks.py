@@ -38,6 +38,15 @@ SMALLEST = {
         ("the bag library's iteration", "reading all samples", "info", "export"),
     ),
     "benchmark_scans.py": ("--edges 8 --words '--rounds 0'", ("edges of 8 mm.stl: look",)),
+    "benchmark_validation.py": (
+        "--seeds 100 --duration 30",
+        (
+            "rigid_bias ",
+            "linear regression on the pose ",
+            "cluster  force map",
+            "tiles    force map",
+        ),
+    ),
 }
 
 
