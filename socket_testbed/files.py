@@ -91,10 +91,14 @@ def end_with_starter() -> None:
 _DISK_HINTS = {
     errno.ENOSPC: "make space",
     errno.EDQUOT: "make space, or raise the quota",
-    errno.EFBIG: "its file system takes no larger file: use a disk with ext4 or exFAT",
-    errno.EROFS: "it is mounted read-only: check its file system for errors, and mount it again",
+    errno.EFBIG: "use a disk with ext4 or exFAT, as its file system takes no larger file",
+    errno.EROFS: "check its file system for errors, and mount it again for writing",
     errno.EACCES: "check the permissions",
     errno.EPERM: "check the permissions",
+    errno.EEXIST: "name another folder",
+    errno.ENOTDIR: "name another folder, a part of its path is a file",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.EINVAL: "its file system does not take this name, use letters, digits, - and _",
 }
 
 
@@ -209,7 +213,7 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: cannot be made ({error.strerror})", "name another folder"
+            f"{path}: cannot be made ({error.strerror})", disk_hint(error)
         ) from None
 
 
@@ -284,8 +288,7 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
                 "name another output or remove it",
             ) from None
         raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror or error})",
-            "check the folder, its permissions and the space left",
+            f"{path}: cannot be written ({error.strerror or error})", disk_hint(error)
         ) from None
 
 

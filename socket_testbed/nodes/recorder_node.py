@@ -179,7 +179,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             bag.abandon()
             shutil.rmtree(path, ignore_errors=True)  # created above and still empty
             raise ConfigurationError(
-                f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
+                f"{path}: cannot be written ({error.strerror or error})", disk_hint(error)
             ) from None
         clock = self.get_clock()
         self._now = SteadyClock().now

@@ -189,8 +189,8 @@ GONE = "check that its disk is connected, and what dmesg says of it"
     ("number", "hint"),
     [
         (errno.ENOSPC, "make space"),
-        (errno.EFBIG, "its file system takes no larger file: use a disk with ext4 or exFAT"),
-        (errno.EROFS, "it is mounted read-only: check its file system for errors, and mount it"),
+        (errno.EFBIG, "use a disk with ext4 or exFAT, as its file system takes no larger file"),
+        (errno.EROFS, "check its file system for errors, and mount it again for writing"),
         (errno.EIO, GONE),
         (errno.ENODEV, GONE),
     ],
