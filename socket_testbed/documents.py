@@ -96,9 +96,13 @@ def check_whole(value: Any, where: str, low: int = 0, high: int = sys.maxsize) -
     Raises:
         ConfigurationError: If the value is no whole number or is not within the limits.
     """
-    number = check_number(value, where, low, high)
-    if not number.is_integer():
-        raise ConfigurationError(f"{where} is {value}", "give a whole number")
+    wrong = f"{where} is {shown(plain(value))}", f"give {_number_within(True, low, high)}"
+    try:
+        number = check_number(value, where)
+    except ConfigurationError:
+        raise ConfigurationError(*wrong) from None
+    if not number.is_integer() or not low <= number <= high:
+        raise ConfigurationError(*wrong)
     return int(number)
 
 
@@ -276,11 +280,7 @@ def _hint(expected: Any, value: Any) -> str:
 def _type_name(expected: Any) -> str:
     """The name of a type in a hint."""
     if isinstance(expected, _NUMBER_TYPES):
-        number = "a number" if isinstance(expected, inspect.FloatType) else "a whole number"
-        low, high = expected.ge, expected.le
-        if low is None or high is None or high - low > FINITE:
-            return f"{number} that is finite"
-        return f"{number} from {low:g} to {high:g}"
+        return _number_within(isinstance(expected, inspect.IntType), expected.ge, expected.le)
     if isinstance(expected, inspect.TupleType):
         below = expected.item_types[0]
         inner = f" lists of {len(below.item_types)}" if isinstance(below, type(expected)) else ""
@@ -289,6 +289,25 @@ def _type_name(expected: Any) -> str:
         low = expected.min_length
         return f"a list of {high}" if low == high else f"a list of {low} to {high}"
     return _TYPE_NAMES.get(type(expected), "'key: value' lines")
+
+
+def _number_within(whole: bool, low: float | None, high: float | None) -> str:
+    """A number in a hint, with those of its limits that are not merely the largest of their type.
+
+    Args:
+        whole: Whether it is a whole number.
+        low: The least value allowed; None for any.
+        high: The largest value allowed; None for any.
+    """
+    largest = sys.maxsize if whole else FINITE
+    has_low = low is not None and low > -largest
+    has_high = high is not None and high < largest
+    if has_low and has_high:
+        return f"a {'whole ' * whole}number from {low:g} to {high:g}"
+    if not has_low and not has_high:
+        return f"a {'whole ' * whole}number that is finite"
+    limit = f"at least {low:g}" if has_low else f"at most {high:g}"
+    return f"a {'whole' if whole else 'finite'} number of {limit}"
 
 
 _TYPE_NAMES: dict[Any, str] = {

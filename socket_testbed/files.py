@@ -22,6 +22,8 @@ CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
 TABLES, PICTURES, PAGES = (".csv", ".parquet", ".mat"), (".png", ".pdf", ".svg"), (".html", ".htm")
 
+REPLACE_HINT = "name another output, or replace it with --replace (in Python, replace=True)"
+
 PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 _PR_SET_PDEATHSIG = 1
 _TEMPORARY_PREFIX, _TEMPORARY_MARK = "socket_testbed_", ".temporary"
@@ -182,9 +184,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
         if path.is_dir():
             raise ConfigurationError(f"{path} exists already as a folder", "name a file")
         if path.exists() and not replace:
-            raise ConfigurationError(
-                f"{path} exists already", "name another output, or replace it with --replace"
-            )
+            raise ConfigurationError(f"{path} exists already", REPLACE_HINT)
         _require_parent(path)
         if replace:
             _new_outputs.discard(path.resolve())
@@ -243,8 +243,9 @@ def check_suffix(path: Path, known: Sequence[str], what: str) -> None:
         ConfigurationError: If the suffix is another one.
     """
     if path.suffix.lower() not in known:
-        fact = f"{path}: '{path.suffix}' is not the format of a {what}"
-        raise ConfigurationError(fact, f"name a {' or '.join(known)} file")
+        given = f"'{path.suffix}'" if path.suffix else "a name without a suffix"
+        fact = f"{path}: {given} is not the format of a {what}"
+        raise ConfigurationError(fact, f"name a {', '.join(known[:-1])} or {known[-1]} file")
 
 
 @contextmanager

@@ -284,7 +284,13 @@ EXPORTS: dict[str, tuple[str, dict[str, Any], str]] = {
     ),
     "suffix": (
         *("a.xls", {}),
-        "a.xls: '.xls' is not the format of a table: name a .csv or .parquet or .mat file",
+        "a.xls: '.xls' is not the format of a trial's export: name a .csv, .parquet, .mat, .mot,"
+        " .sto, .trc, .c3d or .mcap file",
+    ),
+    "no suffix": (
+        *("table", {"cycles": "placed"}),
+        "table: a name without a suffix is not the format of a trial's export: name a .csv,"
+        " .parquet, .mat, .mot, .sto, .trc, .c3d or .mcap file",
     ),
     "point": (
         *("a.csv", {"about": [0.0, 2.1, 0.0]}),

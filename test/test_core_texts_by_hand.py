@@ -159,7 +159,8 @@ def test_outputs_are_refused_with_these_lines(
     new = tmp_path / "nowhere" / "b.csv"
     path_hint = "correct the path, or make the folder first"
     assert line(lambda: files.check_outputs(None, file, replace=False)) == (
-        f"{file} exists already: name another output, or replace it with --replace"
+        f"{file} exists already: name another output, or replace it with --replace (in Python,"
+        " replace=True)"
     )
     assert line(lambda: files.check_outputs(tmp_path, replace=True)) == (
         f"{tmp_path} exists already as a folder: name a file"
@@ -221,7 +222,7 @@ def test_no_device_is_an_output(tmp_path: Path) -> None:
 
 def test_formats_are_refused_with_these_lines() -> None:
     assert line(lambda: files.check_suffix(Path("a.txt"), files.TABLES, "table")) == (
-        "a.txt: '.txt' is not the format of a table: name a .csv or .parquet or .mat file"
+        "a.txt: '.txt' is not the format of a table: name a .csv, .parquet or .mat file"
     )
     assert line(lambda: files.packaged("config", "none.yaml")) == (
         "config/none.yaml of the package is not installed: install the package again"

@@ -208,7 +208,7 @@ class SocketDesign:
     def __repr__(self) -> str:
         covered = self.tiling.footprint_areas.sum() / self.tiling.interior_area
         return (
-            f"SocketDesign({self.name}: {len(self.geometry)} tiles on {covered:.0%} of"
+            f"SocketDesign({self.name}: {len(self.geometry)} tiles on {100.0 * covered:.0f} % of"
             f" {1e4 * self.tiling.interior_area:.0f} cm^2)"
         )
 

@@ -436,6 +436,12 @@ def test_an_option_arrives(verb: str, option: str, stage: Stage) -> None:
     assert changed == expected
 
 
+def test_a_replay_checks_no_channel_left_out(stage: Stage) -> None:
+    PREPARE["replay"](stage, Clock())
+    words = joined("replay", LEAST["replay"], {"params": "--params without.yaml"})
+    assert call_verb(stage, *words)["checked without"] == ("Mz", "distal.Fx")
+
+
 DEFAULTS: dict[str, dict[str, Any]] = {
     "calibrate": {"limit": 10.0},
     "compare": {"segment": "plateau", "threshold": 5.0},
