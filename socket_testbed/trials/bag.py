@@ -13,7 +13,7 @@ import os
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 from backports import zstd
 from rosbags import interfaces
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
-from socket_testbed.errors import TrialError, listed
+from socket_testbed.errors import ConfigurationError, TrialError, listed
 from socket_testbed.files import TemporaryFolder, disk_hint, hold, sync
 from socket_testbed.trials.bag_parts import (
     BAG_METADATA,
@@ -675,17 +675,24 @@ class BagWriter:
 
     Attributes:
         path: The folder, which entry creates.
+
+    Raises:
+        ConfigurationError: At once or on entry, if the folder exists, as another process may have
+            made it meanwhile.
+        OSError: On entry, if the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        with self._refusing():
+            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, interfaces.Connection] = {}
         self._chunk_time: int | None = None  # [ns]; of its first message
         self._lock = -1  # descriptor that locks the folder while it is written
 
     def __enter__(self) -> Self:
-        self._writer.open()
+        with self._refusing():
+            self._writer.open()
         self._lock = hold(self.path)
         with suppress(OSError):  # unsupported on network drives
             sync(self.path)
@@ -701,6 +708,15 @@ class BagWriter:
         for file in (recording, self._writer.metapath):
             sync(file)
         os.close(self._lock)
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Refuse a folder that exists; the library's own error is none of this package."""
+        try:
+            yield
+        except WriterError:
+            fact = f"{self.path} exists already: another process made it meanwhile"
+            raise ConfigurationError(fact, "name another folder") from None
 
     def _write_index_checksum(self, file: Path) -> None:
         """Write the checksum of the index; the library leaves it zero (unchecked)."""

@@ -212,10 +212,12 @@ def is_bag(folder: Path) -> bool:
     """
     if not folder.is_dir():
         return False
-    files = [file for file in folder.iterdir() if file.is_file()]
-    if any(is_storage(file) or _holds_storage(file) for file in files):
-        return True
-    return any(file.name == BAG_METADATA and _may_describe_bag(file) for file in files)
+    found = [*folder.iterdir()]
+    return (
+        any(map(is_storage, found))
+        or any(path.name == BAG_METADATA and _may_describe_bag(path) for path in found)
+        or any(path.is_file() and _holds_storage(path) for path in found)
+    )
 
 
 def _may_describe_bag(file: Path) -> bool:
