@@ -80,6 +80,7 @@ _USUAL_DEPARTURE = 0.97  # quantile of a channel's departures that are usual
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
 STILL, CAPACITY = "not change for", "of its full scale"  # words of findings
+WRITE_QUATERNIONS = "give quaternions as"  # start of the hint of a finding
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
 MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published errors 11 N
 # [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
@@ -181,9 +182,10 @@ def check_data(
 
 
 def _without_faulty_pose(samples: Samples, raw: tuple[DataFinding, ...]) -> Samples:
-    """The samples, without poses if these jump or stand still: nothing is judged by such poses."""
-    stopped = any(each.source == "the limb pose" and STILL in each.fact for each in raw)
-    if not stopped and not any(_jumps(samples)):
+    """The samples, without poses that jump, stand still or are turned: these judge nothing."""
+    of_pose = [each for each in raw if each.source == "the limb pose"]
+    faulty = any(STILL in each.fact or each.hint.startswith(WRITE_QUATERNIONS) for each in of_pose)
+    if not faulty and not any(_jumps(samples)):
         return samples
     nothing = np.full_like(samples.position, np.nan)
     return replace(samples, position=nothing, rotation=nothing)
