@@ -35,6 +35,7 @@ from socket_testbed.live.bringup import (
     testbed_files,
     testbed_settings,
 )
+from socket_testbed.live.hardware import require_free
 from socket_testbed.live.processes import (
     MAX_BACKOFF,
     Graph,
@@ -82,7 +83,9 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
     testbed.check_devices()
     if testbed.record is not None:
         check_new_trial(testbed.record)
-    if simulation is not None:
+    if simulation is None:
+        require_free(testbed.settings)
+    else:
         testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
     end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())
     return [

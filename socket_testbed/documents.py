@@ -96,9 +96,13 @@ def check_whole(value: Any, where: str, low: int = 0, high: int = sys.maxsize) -
     Raises:
         ConfigurationError: If the value is no whole number or is not within the limits.
     """
-    number = check_number(value, where, low, high)
-    if not number.is_integer():
-        raise ConfigurationError(f"{where} is {value}", "give a whole number")
+    wrong = f"{where} is {shown(plain(value))}", f"give {_number_within(True, low, high)}"
+    try:
+        number = check_number(value, where)
+    except ConfigurationError:
+        raise ConfigurationError(*wrong) from None
+    if not number.is_integer() or not low <= number <= high:
+        raise ConfigurationError(*wrong)
     return int(number)
 
 
@@ -276,11 +280,7 @@ def _hint(expected: Any, value: Any) -> str:
 def _type_name(expected: Any) -> str:
     """The name of a type in a hint."""
     if isinstance(expected, _NUMBER_TYPES):
-        number = "a number" if isinstance(expected, inspect.FloatType) else "a whole number"
-        low, high = expected.ge, expected.le
-        if low is None or high is None or high - low > FINITE:
-            return f"{number} that is finite"
-        return f"{number} from {low:g} to {high:g}"
+        return _number_within(isinstance(expected, inspect.IntType), expected.ge, expected.le)
     if isinstance(expected, inspect.TupleType):
         below = expected.item_types[0]
         inner = f" lists of {len(below.item_types)}" if isinstance(below, type(expected)) else ""
@@ -289,6 +289,25 @@ def _type_name(expected: Any) -> str:
         low = expected.min_length
         return f"a list of {high}" if low == high else f"a list of {low} to {high}"
     return _TYPE_NAMES.get(type(expected), "'key: value' lines")
+
+
+def _number_within(whole: bool, low: float | None, high: float | None) -> str:
+    """A number in a hint, with those of its limits that are not merely the largest of their type.
+
+    Args:
+        whole: Whether it is a whole number.
+        low: The least value allowed; None for any.
+        high: The largest value allowed; None for any.
+    """
+    largest = sys.maxsize if whole else FINITE
+    has_low = low is not None and low > -largest
+    has_high = high is not None and high < largest
+    if has_low and has_high:
+        return f"a {'whole ' * whole}number from {low:g} to {high:g}"
+    if not has_low and not has_high:
+        return f"a {'whole ' * whole}number that is finite"
+    limit = f"at least {low:g}" if has_low else f"at most {high:g}"
+    return f"a {'whole' if whole else 'finite'} number of {limit}"
 
 
 _TYPE_NAMES: dict[Any, str] = {
@@ -418,14 +437,54 @@ def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
 LFS_POINTER = b"version https://git-lfs"  # the start of what Git leaves of a file not fetched
 IS_LFS_POINTER = "is a Git LFS pointer, not the file itself"
 GET_LFS = "fetch the content with 'git lfs pull'"
+# Starts of files that people give in place of another file: what they are, and what to do.
+_OTHER_FILES = {
+    LFS_POINTER: (IS_LFS_POINTER, GET_LFS),
+    b"\x1f\x8b\x08": ("is compressed with gzip", "unpack it with 'gunzip'"),
+    b"\xfd7zXZ\0": ("is compressed with xz", "unpack it with 'unxz'"),
+    b"\x04\x22\x4d\x18": ("is compressed with lz4", "unpack it with 'unlz4'"),
+    b"7z\xbc\xaf\x27\x1c": ("is a 7z archive", "unpack it"),
+    b"Rar!\x1a\x07": ("is a RAR archive", "unpack it"),
+    b"PK\x03\x04": ("is a ZIP archive", "unpack it"),
+    b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1": (
+        "is a workbook or document of an Office program",
+        "save a table as CSV, anything else as text",
+    ),
+    b"%PDF-": ("is a PDF document", "give the file that it was made from"),
+}
+_WORKBOOK = "is a workbook of a spreadsheet program", "save its table as CSV"
+_WORKBOOK_PARTS = (b"[Content_Types].xml", b"opendocument.spreadsheet", b"xl/")
+_BZIP2 = re.compile(rb"BZh\d1AY&SY")
+_TAR = re.compile(rb".{257}ustar", re.DOTALL)
+OTHER_FILE_START = 512  # [bytes]; what `other_file` looks at
 
 
-def load_json(path: Path, kind: str) -> Any:
+def other_file(start: bytes) -> tuple[str, str] | None:
+    """What a file is that holds something else than text or measurements, such as an archive.
+
+    Args:
+        start: The first bytes of the file, `OTHER_FILE_START` of them if it has as many.
+
+    Returns:
+        What it is, such as `is a ZIP archive`, and what to do; None for any other file.
+    """
+    if start.startswith(b"PK\x03\x04") and any(part in start for part in _WORKBOOK_PARTS):
+        return _WORKBOOK
+    if _BZIP2.match(start):
+        return "is compressed with bzip2", "unpack it with 'bunzip2'"
+    if _TAR.match(start):
+        return "is a tar archive", "unpack it with 'tar -xf'"
+    found = (known for begin, known in _OTHER_FILES.items() if start.startswith(begin))
+    return next(found, None)
+
+
+def load_json(path: Path, kind: str, again: str = "make it again") -> Any:
     """Read a JSON file with finite numbers.
 
     Args:
         path: The file, UTF-8 text of 16 MiB at most.
         kind: How errors call the file, with its article, such as `a model`.
+        again: What to do if it is not JSON.
 
     Raises:
         ConfigurationError: If the file cannot be read, or is not JSON.
@@ -433,7 +492,7 @@ def load_json(path: Path, kind: str) -> Any:
     try:
         return msgspec.json.decode(read_text(path, kind))
     except (RecursionError, msgspec.DecodeError) as error:
-        raise ConfigurationError(f"{path}: is not {kind} ({error})", "make it again") from None
+        raise ConfigurationError(f"{path}: is not {kind} ({error})", again) from None
 
 
 def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str:
@@ -445,14 +504,14 @@ def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str
         largest: The largest size allowed [bytes].
 
     Raises:
-        ConfigurationError: If the file is missing, unreadable or too large, is not UTF-8, or is a
-            Git LFS pointer.
+        ConfigurationError: If the file is missing, unreadable or too large, is not UTF-8, or is
+            something else that is known, such as a Git LFS pointer, an archive or a workbook.
     """
     try:
         with path.open("rb") as stream:
             content = stream.read(largest + 1)
-        if content.startswith(LFS_POINTER):
-            raise ConfigurationError(f"{path}: {IS_LFS_POINTER}", GET_LFS)
+        if other := other_file(content[:OTHER_FILE_START]):
+            raise ConfigurationError(f"{path}: {other[0]}", other[1])
         if len(content) > largest:
             raise ValueError(f"larger than {largest // 2**20} MiB")
         return content.decode("utf-8-sig")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Collection, Iterator, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -46,10 +47,30 @@ def naming(place: object, *kinds: type[TestbedError]) -> Iterator[None]:
         raise type(error)(f"{place}: {error.fact}", error.hint) from None
 
 
+_ENCLOSED = re.compile(r"\([^()]*\)|\[[^][]*\]|\{[^{}]*\}|\"[^\"]*\"|(?<!\w)'[^']*'(?!\w)")
+
+
 def fact_and_hint(line: str) -> tuple[str, str]:
-    """Fact and hint of a `TestbedError`'s line; without a hint all of it is the fact."""
-    fact, _, hint = line.rpartition(": ")
-    return (fact, hint) if fact else (hint, "")
+    """Fact and hint of a `TestbedError`'s line; without a hint all of it is the fact.
+
+    Args:
+        line: The line. Its hint begins after the last colon outside of brackets and quotes.
+    """
+    blanked = _ENCLOSED.sub(lambda found: "_" * len(found.group()), line)
+    fact, colon, _ = blanked.rpartition(": ")
+    return (line[: len(fact)], line[len(fact) + len(colon) :]) if fact else (line, "")
+
+
+def joined(lines: Iterable[str]) -> str:
+    """Lines of facts and hints as one line: all facts, then each different hint once.
+
+    Args:
+        lines: Lines as `TestbedError` writes them, with or without a hint.
+    """
+    split = [fact_and_hint(line) for line in lines]
+    facts = "; ".join(dict.fromkeys(fact for fact, _ in split))
+    hints = "; ".join(dict.fromkeys(hint for _, hint in split if hint))
+    return f"{facts}: {hints}" if hints else facts
 
 
 _MAX_LENGTH = 2000  # [characters]

@@ -22,6 +22,8 @@ CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
 TABLES, PICTURES, PAGES = (".csv", ".parquet", ".mat"), (".png", ".pdf", ".svg"), (".html", ".htm")
 
+REPLACE_HINT = "name another output, or replace it with --replace (in Python, replace=True)"
+
 PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 _PR_SET_PDEATHSIG = 1
 _TEMPORARY_PREFIX, _TEMPORARY_MARK = "socket_testbed_", ".temporary"
@@ -91,10 +93,14 @@ def end_with_starter() -> None:
 _DISK_HINTS = {
     errno.ENOSPC: "make space",
     errno.EDQUOT: "make space, or raise the quota",
-    errno.EFBIG: "its file system takes no larger file: use a disk with ext4 or exFAT",
-    errno.EROFS: "it is mounted read-only: check its file system for errors, and mount it again",
+    errno.EFBIG: "use a disk with ext4 or exFAT, as its file system takes no larger file",
+    errno.EROFS: "check its file system for errors, and mount it again for writing",
     errno.EACCES: "check the permissions",
     errno.EPERM: "check the permissions",
+    errno.EEXIST: "name another folder",
+    errno.ENOTDIR: "name another folder, a part of its path is a file",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.EINVAL: "its file system does not take this name, use letters, digits, - and _",
 }
 
 
@@ -178,9 +184,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
         if path.is_dir():
             raise ConfigurationError(f"{path} exists already as a folder", "name a file")
         if path.exists() and not replace:
-            raise ConfigurationError(
-                f"{path} exists already", "name another output, or replace it with --replace"
-            )
+            raise ConfigurationError(f"{path} exists already", REPLACE_HINT)
         _require_parent(path)
         if replace:
             _new_outputs.discard(path.resolve())
@@ -209,7 +213,7 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: cannot be made ({error.strerror})", "name another folder"
+            f"{path}: cannot be made ({error.strerror})", disk_hint(error)
         ) from None
 
 
@@ -239,8 +243,9 @@ def check_suffix(path: Path, known: Sequence[str], what: str) -> None:
         ConfigurationError: If the suffix is another one.
     """
     if path.suffix.lower() not in known:
-        fact = f"{path}: '{path.suffix}' is not the format of a {what}"
-        raise ConfigurationError(fact, f"name a {' or '.join(known)} file")
+        given = f"'{path.suffix}'" if path.suffix else "a name without a suffix"
+        fact = f"{path}: {given} is not the format of a {what}"
+        raise ConfigurationError(fact, f"name a {', '.join(known[:-1])} or {known[-1]} file")
 
 
 @contextmanager
@@ -284,8 +289,7 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
                 "name another output or remove it",
             ) from None
         raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror or error})",
-            "check the folder, its permissions and the space left",
+            f"{path}: cannot be written ({error.strerror or error})", disk_hint(error)
         ) from None
 
 

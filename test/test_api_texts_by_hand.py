@@ -182,6 +182,30 @@ def test_cycles_are_refused_with_these_lines(walked: Trial) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("pause", "left_out"), [(3.0, 0), (3.5, 1)], ids=["twice as long", "longer"]
+)
+def test_a_cycle_beyond_two_medians_is_left_out(
+    pause: float, left_out: int, walked: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two cycles of 1.5 s and one more: the median is 1.5 s."""
+    times = (0.0, 1.5, 3.0, 3.0 + pause)
+    monkeypatch.setattr(
+        Trial, "events", lambda self: [Event("placed", at, "found") for at in times]
+    )
+    found = st.cycles(walked, TABLE, segment=part(0.0, 8.0))
+    assert (len(found), found.left_out) == (3 - left_out, left_out)
+
+
+def test_numbers_without_a_mean_are_not_averaged(walked: Trial) -> None:
+    """Directions, states and stamps."""
+    left_out = ("Fz direction [deg]", "distal.status [-]", "stamp [ns]")
+    table = TABLE.assign(**dict.fromkeys((*left_out, "engaged [1]"), 3.0))
+    found = st.cycles(walked, table, segment=part(0.0, 8.0))
+    assert found.titles == ("load [N]", "engaged [1]")
+    assert list(found.to_dataframe())[-1] == "engaged n [-]"
+
+
 def test_few_samples_of_a_cycle_are_noted(walked: Trial) -> None:
     notes: list[str] = []
     found = st.cycles(replace(walked, notify=notes.append), TABLE, segment=part(0.0, 8.0))
@@ -284,7 +308,13 @@ EXPORTS: dict[str, tuple[str, dict[str, Any], str]] = {
     ),
     "suffix": (
         *("a.xls", {}),
-        "a.xls: '.xls' is not the format of a table: name a .csv or .parquet or .mat file",
+        "a.xls: '.xls' is not the format of a trial's export: name a .csv, .parquet, .mat, .mot,"
+        " .sto, .trc, .c3d or .mcap file",
+    ),
+    "no suffix": (
+        *("table", {"cycles": "placed"}),
+        "table: a name without a suffix is not the format of a trial's export: name a .csv,"
+        " .parquet, .mat, .mot, .sto, .trc, .c3d or .mcap file",
     ),
     "point": (
         *("a.csv", {"about": [0.0, 2.1, 0.0]}),

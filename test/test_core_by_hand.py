@@ -1,5 +1,6 @@
 """Numbers in tables, hints for wrong values, refused outputs, clocks: by hand."""
 
+import math
 import os
 import signal
 import time
@@ -125,7 +126,7 @@ def test_a_column_without_values_keeps_its_kind(tmp_path: Path) -> None:
 def test_a_table_has_one_of_three_formats(tmp_path: Path) -> None:
     with refused(
         ConfigurationError,
-        "a.txt: '.txt' is not the format of a table: name a .csv or .parquet or .mat file",
+        "a.txt: '.txt' is not the format of a table: name a .csv, .parquet or .mat file",
     ):
         tables.write_table(pd.DataFrame({"a": [1]}), tmp_path / "a.txt")
     assert files.PICTURES == (".png", ".pdf", ".svg") and files.PAGES == (".html", ".htm")
@@ -135,6 +136,8 @@ def test_a_table_has_one_of_three_formats(tmp_path: Path) -> None:
 # --- hints for wrong values
 
 TIMES = Annotated[float, Meta(ge=0.5, le=20.0, description="how long [s]")]
+OPEN_ENDED = Annotated[float, Meta(ge=2.0, le=documents.FINITE)]
+AT_MOST = Annotated[int, Meta(le=3)]
 
 
 @pytest.mark.parametrize(
@@ -142,6 +145,9 @@ TIMES = Annotated[float, Meta(ge=0.5, le=20.0, description="how long [s]")]
     [
         (int, 1.5, "x is 1.5: give a whole number that is finite"),
         (float, "a", "x is 'a': give a number that is finite"),
+        (OPEN_ENDED, 1.0, "x is 1.0: give a finite number of at least 2"),
+        (OPEN_ENDED, math.inf, "x is inf: give a finite number of at least 2"),
+        (AT_MOST, 4, "x is 4: give a whole number of at most 3"),
         (TIMES, 21.0, "x is 21.0: give a number from 0.5 to 20: how long [s]"),
         (bool, 1, "x is 1: give true or false"),
         (str, True, "x is True: give a text, in quotes"),
@@ -271,7 +277,7 @@ def test_an_existing_output_is_refused_in_words(tmp_path: Path) -> None:
     path.touch()
     with refused(ConfigurationError, f"{path} exists already: name another output or remove it"):
         files.refuse_existing(path)
-    words = "exists already: name another output, or replace it with --replace"
+    words = "name another output, or replace it with --replace (in Python, replace=True)"
     with refused(ConfigurationError, words):
         files.check_outputs(path, replace=False)
     files.check_outputs(path, replace=True)

@@ -159,7 +159,8 @@ def test_outputs_are_refused_with_these_lines(
     new = tmp_path / "nowhere" / "b.csv"
     path_hint = "correct the path, or make the folder first"
     assert line(lambda: files.check_outputs(None, file, replace=False)) == (
-        f"{file} exists already: name another output, or replace it with --replace"
+        f"{file} exists already: name another output, or replace it with --replace (in Python,"
+        " replace=True)"
     )
     assert line(lambda: files.check_outputs(tmp_path, replace=True)) == (
         f"{tmp_path} exists already as a folder: name a file"
@@ -174,7 +175,8 @@ def test_outputs_are_refused_with_these_lines(
         f"{tmp_path} exists already: name another output or remove it"
     )
     assert line(lambda: files.make_folder(file / "b")) == (
-        f"{file}/b: cannot be made (Not a directory): name another folder"
+        f"{file}/b: cannot be made (Not a directory): name another folder, a part of its"
+        " path is a file"
     )
     monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK)
     assert line(lambda: files.check_outputs(tmp_path / "b.csv", replace=True)) == (
@@ -192,8 +194,7 @@ def test_a_failed_write_leaves_the_older_file(tmp_path: Path) -> None:
             raise OSError(number, os.strerror(number))
 
     assert line(lambda: fail(28)) == (
-        f"{path}: cannot be written (No space left on device): check the folder, its permissions"
-        " and the space left"
+        f"{path}: cannot be written (No space left on device): make space"
     )
     assert path.read_text() == "older" and [*tmp_path.iterdir()] == [path]
     files.write_text(path, "newer")
@@ -221,7 +222,7 @@ def test_no_device_is_an_output(tmp_path: Path) -> None:
 
 def test_formats_are_refused_with_these_lines() -> None:
     assert line(lambda: files.check_suffix(Path("a.txt"), files.TABLES, "table")) == (
-        "a.txt: '.txt' is not the format of a table: name a .csv or .parquet or .mat file"
+        "a.txt: '.txt' is not the format of a table: name a .csv, .parquet or .mat file"
     )
     assert line(lambda: files.packaged("config", "none.yaml")) == (
         "config/none.yaml of the package is not installed: install the package again"
@@ -300,6 +301,26 @@ def test_an_error_begins_with_its_place() -> None:
         "give 0 to 1",
     )
     assert errors.fact_and_hint("all") == ("all", "")
+
+
+LINES = {
+    "brackets": ("no answer (every bit reads 0: ground?): check it", 38),
+    "quotes": ("a: write 'theta: 1' again", 1),
+    "apostrophe": ("the cell's rail: unload Fx's bridge", 15),
+    "only brackets": ("not one (see: there)", 20),
+}
+
+
+@pytest.mark.parametrize(("text", "colon"), LINES.values(), ids=LINES)
+def test_a_hint_begins_after_the_last_colon(text: str, colon: int) -> None:
+    assert errors.fact_and_hint(text) == (text[:colon], text[colon + 2 :])
+
+
+def test_joined_faults_say_each_hint_once() -> None:
+    lines = ["a: no answer: check its plug", "b: no answer: check its plug", "late", "late"]
+    assert errors.joined(lines) == "a: no answer; b: no answer; late: check its plug"
+    assert errors.joined(["full: make space", "late: wait"]) == "full; late: make space; wait"
+    assert errors.joined(["late"]) == "late"
 
 
 # --- the socket's file

@@ -1,7 +1,10 @@
 """Documents: what stands in a field is read, or refused by its name with a hint."""
 
 import dataclasses
+import gzip
+import io
 import json
+import zipfile
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
@@ -18,6 +21,7 @@ from support.problems import make_case, random_pose, random_socket
 from support.wording import check_line, refused
 
 from socket_testbed import documents
+from socket_testbed.calibration.bench_data import read_bench
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.load_cell.load_cell import Tare
 from socket_testbed.errors import ConfigurationError, RegistrationError, TestbedError
@@ -28,8 +32,12 @@ from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed
 from socket_testbed.socket_design.clusters import read_cluster_places
 from socket_testbed.socket_design.design import place_by_landmarks
+from socket_testbed.socket_design.motive import read_motive_csv
 from socket_testbed.socket_design.registration import read_landmarks
+from socket_testbed.socket_design.scan_file import read_scan
 from socket_testbed.trials.metadata import read_metadata
+from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.truth import read_truth
 
 
 class Lamp(documents.Document):
@@ -74,6 +82,81 @@ WRONG: dict[str, tuple[Any, str]] = {
 def test_an_error_names_what_belongs_in_a_field(data: Any, error: str) -> None:
     with refused(ConfigurationError, error):
         documents.convert(data, Lamp, "lamp")
+
+
+def workbook(*names: str) -> bytes:
+    """An archive of files, as spreadsheet programs save their workbooks."""
+    with zipfile.ZipFile(content := io.BytesIO(), "w") as new:
+        for name in names:
+            new.writestr(name, "<xml/>")
+    return content.getvalue()
+
+
+OTHERS: dict[str, tuple[bytes, str]] = {
+    "pointer": (
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 3\n",
+        "is a Git LFS pointer, not the file itself: fetch the content with 'git lfs pull'",
+    ),
+    "xlsx": (
+        workbook("[Content_Types].xml", "xl/workbook.xml"),
+        "is a workbook of a spreadsheet program: save its table as CSV",
+    ),
+    "xlsx, other order": (
+        workbook("docProps/app.xml", "xl/workbook.xml"),
+        "is a workbook of a spreadsheet program: save its table as CSV",
+    ),
+    "xls": (
+        b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600),
+        "is a workbook or document of an Office program: save a table as CSV, anything else as"
+        " text",
+    ),
+    "zip": (workbook("a.csv"), "is a ZIP archive: unpack it"),
+    "gzip": (gzip.compress(b"a"), "is compressed with gzip: unpack it with 'gunzip'"),
+    "pdf": (b"%PDF-1.7\n", "is a PDF document: give the file that it was made from"),
+}
+READERS: dict[str, Callable[[Path], Any]] = {
+    "socket.yaml": read_socket,
+    "calibration.yaml": read_calibration,
+    "testbed.yaml": read_testbed,
+    "trial.yaml": read_metadata,
+    "landmarks.yaml": read_landmarks,
+    "model.json": read_model,
+    "bench.csv": lambda path: read_bench(path, {}, {}),
+    "take.csv": read_motive_csv,
+    "scan.stl": lambda path: read_scan(path, "mm"),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("kind", OTHERS)
+def test_a_file_of_another_kind_is_named(name: str, kind: str, tmp_path: Path) -> None:
+    content, line = OTHERS[kind]
+    (path := tmp_path / name).write_bytes(content)
+    with pytest.raises(TestbedError) as found:
+        READERS[name](path)
+    assert str(found.value) == f"{path}: {line}"
+
+
+@pytest.mark.parametrize("name", ["socket.yaml", "calibration.yaml", "testbed.yaml"])
+def test_a_pointer_among_a_trial_s_files_is_named(name: str, tmp_path: Path) -> None:
+    """Of files that Git LFS has not fetched."""
+    (tmp_path / name).write_bytes(OTHERS["pointer"][0])
+    trial = Trial(tmp_path)
+    read = {
+        "socket.yaml": lambda: trial.geometry,
+        "calibration.yaml": lambda: trial.calibration,
+        "testbed.yaml": lambda: trial.estimator,
+    }[name]
+    with pytest.raises(TestbedError) as found:
+        read()
+    assert str(found.value) == f"{tmp_path / name}: {OTHERS['pointer'][1]}"
+
+
+def test_a_pointer_as_ground_truth_is_named(tmp_path: Path) -> None:
+    (tmp_path / "ground_truth.npz").write_bytes(OTHERS["pointer"][0])
+    with pytest.raises(TestbedError) as found:
+        read_truth(tmp_path)
+    assert str(found.value) == f"{tmp_path / 'ground_truth.npz'}: {OTHERS['pointer'][1]}"
 
 
 def test_a_whole_number_is_a_float_or_text() -> None:

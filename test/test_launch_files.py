@@ -14,13 +14,16 @@ import pytest
 import yaml
 from support import CHECKOUT
 from support.bags import add_events
+from support.clocks import FakeClock
 from support.testbeds import simulated_parameters
 
+from socket_testbed.drivers import DeviceBusyError
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
+from socket_testbed.live import hardware
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import RESTARTED, STOP_TIMEOUT
-from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.settings.testbed import TestbedSettings, read_testbed
 from socket_testbed.simulation.world import World
 
 
@@ -169,6 +172,25 @@ def test_a_time_scale_without_simulation_is_refused(launch, scale: str) -> None:
     words = "time_scale is for simulated hardware: add simulated:=true"
     with pytest.raises(ConfigurationError, match=words):
         launch("testbed", time_scale=scale)
+
+
+def test_a_launch_beside_another_testbed_is_refused(
+    launch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is waited for 3 s, in which a testbed that is ending frees its buses."""
+    tried: list[float] = []
+
+    def find_user(settings: TestbedSettings) -> DeviceBusyError:
+        tried.append(clock.now)
+        return DeviceBusyError("i2c-1", "process 4711, socket-testbed run")
+
+    clock = FakeClock().install(monkeypatch)
+    monkeypatch.setattr(hardware, "find_user", find_user)
+    words = r"another program uses i2c-1 \(process 4711, socket-testbed run\): end it first"
+    params = simulated_parameters(tmp_path, mocap_node={"server": "192.0.2.1"})
+    with pytest.raises(DeviceBusyError, match=words):
+        launch("testbed", params=params)
+    assert tried[-1] - tried[0] == pytest.approx(3.0, abs=0.2)
 
 
 def test_a_wrong_parameter_ends_a_launch(launch, tmp_path: Path) -> None:

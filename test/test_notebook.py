@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from support import scene
 
 import socket_testbed as st
@@ -40,6 +41,7 @@ def made(trial, folder: Path):
         np=np,
         pd=pd,
         Path=Path,
+        Figure=Figure,
         trial=trial,
         hold=folder / "hold",
         walk=folder / "walk",
@@ -111,6 +113,9 @@ WRONG = {
     "st.write_comparison(pressure, 'x.html')": "the comparison is of the kind TrialPressure: give",
     "pressure.draw()": "neither a file nor axes are given: give one of them",
     "pressure.draw(3)": "the file is 3: give a path",
+    "pressure.draw(Figure().subplots())": "the file is a part of a figure: give axes as ax=...",
+    "map.draws(1)": "count is 1: give a whole number of at least 2",
+    "map.draws(2.5)": "count is 2.5: give a whole number",
     "pressure.draw(ax=3)": "ax is 3: give axes",
     "pressure.figure(width='wide')": "figures are not laid out for a width of wide mm: give 88",
     "pressure.save(None)": "the file is None: give a path",
@@ -131,7 +136,7 @@ WRONG = {
     "st.tile('s.stl', proximal=3)": "proximal is 3: give a text, such as '+z'",
     "st.tile('s.stl', points=[1, 2])": "points[0] is 1: give a list",
     "st.tile('s.stl', points=[[1, 2, 3]])": "points are not three of three numbers: pick three",
-    "st.tile('s.stl', place='x')": "--place is 'x': give a number from 0 to 1000",
+    "st.tile('s.stl', place='x')": "--place is 'x': give a whole number from 0 to",
     "st.tile('s.stl', keep_out=[3])": "keep_out holds 3: give texts",
     "st.register(None, None, None)": "the take is None: give a path",
 }

@@ -1,13 +1,17 @@
 """The structure that CONTRIBUTING promises, read from the imports."""
 
 import ast
+import re
+import subprocess
+import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
 from pkgutil import resolve_name
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[1] / "socket_testbed"
+CHECKOUT = Path(__file__).resolve().parents[1]
+PACKAGE, DOCS = CHECKOUT / "socket_testbed", CHECKOUT / "docs"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground up: a module imports from its own layer or from those below it.
@@ -88,3 +92,15 @@ def test_what_programs_outside_the_package_import_is_there(folder: str) -> None:
     for path in (PACKAGE.parent / folder).glob("*.py"):
         for name in imports(ast.parse(path.read_text())):
             assert not name.startswith("socket_testbed.") or resolve_name(name), path
+
+
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{each.name}" for each in DOCS.glob("*.md")))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_programs_in_the_documents_are_formatted(page: str) -> None:
+    for program in BLOCK.findall((CHECKOUT / page).read_text(encoding="utf-8")):
+        words = [sys.executable, "-m", "ruff", "format", "--diff", "-"]
+        done = subprocess.run(words, check=False, input=program, text=True, capture_output=True)
+        assert done.returncode == 0, done.stdout

@@ -14,12 +14,13 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import as_trial
 from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import TABLES, check_suffix
+from socket_testbed.files import check_suffix
 from socket_testbed.identification import information
 from socket_testbed.results.result import PathLike
 from socket_testbed.samples import moments_about
 from socket_testbed.tables import write_table
 from socket_testbed.trials.export import (
+    EXPORT_FORMATS,
     GAIT_FORMATS,
     sample_table,
     write_gait_file,
@@ -105,6 +106,7 @@ def export(
         hint = f"give three numbers [m], from -{_MAX_ABOUT:g} to {_MAX_ABOUT:g}"
         fact = f"about is {[*about] if isinstance(about, list | tuple) else described(about)}"
         raise ConfigurationError(fact, hint)
+    check_suffix(path, EXPORT_FORMATS, "trial's export")
     cycles = None if cycles is None else cycles_by(cycles)
     if path.suffix.lower() in GAIT_FORMATS:
         if model or force_map or pressure or cycles:
@@ -120,8 +122,6 @@ def export(
     as_bag = path.suffix.lower() == ".mcap"
     if as_bag and cycles:
         raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
-    if not as_bag:
-        check_suffix(path, TABLES, "table")
     stored = None if model is None else model_for(trial, model)
     chosen = trial.select(segment, trial.estimator)
     measured, samples = trial.measurements_and_samples()

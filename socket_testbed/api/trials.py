@@ -41,7 +41,7 @@ from socket_testbed.settings.options import (
     TissueKind,
 )
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
-from socket_testbed.trials.bag import is_bag
+from socket_testbed.trials.bag_parts import is_bag
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
     TrialMetadata,

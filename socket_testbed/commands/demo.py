@@ -100,13 +100,14 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
         complete = _complete(trial)
         if complete >= (_MIN_COMPLETE if retries else _MIN_USABLE):
             break
+        only = f"only {100.0 * complete:.0f} % of the samples are complete"
         if not retries:
             raise TrialError(
-                f"only {complete:.0%} of the samples are complete, even at {speed_text(scale)}",
+                f"{only}, even at {speed_text(scale)}",
                 "this machine is too busy: end other programs, or try again later",
             )
         scale = max(0.5 * scale, SLOWEST)
-        print(f"   only {complete:.0%} of the samples are complete: again at {speed_text(scale)}")
+        print(f"   {only}: again at {speed_text(scale)}")
         shutil.rmtree(trial.path, ignore_errors=True)
     print("   " + summary(trial.path))
     return trial.samples(), scale

@@ -22,6 +22,7 @@ from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
     deliver,
+    left_out,
     name_and_value,
     on_trials,
     open_all,
@@ -105,7 +106,7 @@ def compare(call: calls.Compare) -> None:
     named = _conditions(call.condition)
     conditions = {name: open_all(paths, call) for name, paths in named.items()}
     for each in open_compared(trials, conditions)[0]:  # wrong calls fail before data is read
-        report_data(each)
+        report_data(each, leave_out=left_out(each, call))
     found = api.compare(
         *trials, conditions=conditions, **given(call, ComparisonOptions), progress=Progress
     )

@@ -16,7 +16,7 @@ from socket_testbed.commands.options import (
     report_data,
 )
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
-from socket_testbed.files import CONFIGURATION_FILES, check_outputs
+from socket_testbed.files import CONFIGURATION_FILES, check_outputs, check_suffix
 from socket_testbed.settings.options import (
     ExportOptions,
     MetadataOptions,
@@ -24,6 +24,7 @@ from socket_testbed.settings.options import (
     given,
 )
 from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
+from socket_testbed.trials.export import EXPORT_FORMATS
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
 from socket_testbed.trials.tares import read_tares, tares_in_words
 from socket_testbed.trials.trial import Trial
@@ -69,6 +70,7 @@ def _metadata(metadata: TrialMetadata) -> str:
 @takes(calls.Export)
 def export(call: calls.Export) -> None:
     """Write a trial's samples as CSV, Parquet or MAT, or for OpenSim and C3D."""
+    check_suffix(call.output, EXPORT_FORMATS, "trial's export")
     check_outputs(call.output, replace=call.replace)
     opened = open_checked(call.trial, call)
     chosen = given(call, ExportOptions)

@@ -50,7 +50,7 @@ class DeviceBusyError(DeviceError):
 
     def __init__(self, name: str, user: str = "") -> None:
         by = f" ({user})" if user else ""
-        hint = "end it first: Ctrl-C, or systemctl stop if it is a service"
+        hint = "end it first (Ctrl-C, or systemctl stop if it is a service)"
         super().__init__(f"another program uses {name}{by}", hint)
 
 
@@ -159,7 +159,7 @@ def not_permitted(path: str, group: str) -> DeviceError:
         if own == "root" or found.st_mode & needed != needed:
             return DeviceError(
                 f"{path}: permission denied, and its group {own} may not use it",
-                f'give it to a group with a udev rule: KERNEL=="{Path(path).name}",'
+                f'give it to a group with the udev rule KERNEL=="{Path(path).name}",'
                 f' GROUP="{group}", MODE="0660" (docs/hardware.md)',
             )
     return DeviceError(

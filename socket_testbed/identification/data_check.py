@@ -36,6 +36,7 @@ from socket_testbed.identification.limb_motion import (
     OPPOSITE,
     LimbMotion,
     limb_motion,
+    misfit_of,
 )
 from socket_testbed.identification.noise import channel_noise, deviations
 from socket_testbed.samples import (
@@ -68,6 +69,9 @@ MIN_POSE_FIT = 0.8  # [-]; their correlation with that lag
 MAX_CLUSTER_LAG = 0.9  # [s]; of a cluster behind the indentation of its tile
 MIN_CLUSTER_FIT = 0.4  # [-]; their correlation with that lag
 MIN_CLUSTER_GAIN = 0.6  # [-]; in their correlation by that lag; sound <= 0.37
+MAX_LATE_FIT = 0.9  # [-]; of their correlation at once, that any lag could improve clearly
+MIN_LATE_FIT = 0.85  # [-]; of their correlation with a lag, to tell it by what is left over,
+MIN_LATE_GAIN = 0.3  # [-]; and the fall of log(1 - r^2) / 2 by that lag; sound <= 0.11
 SEARCHED_LAG = 10.0  # [s]
 LAG_STEP = 0.04  # [s]; at least
 MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
@@ -76,6 +80,7 @@ _USUAL_DEPARTURE = 0.97  # quantile of a channel's departures that are usual
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
 STILL, CAPACITY = "not change for", "of its full scale"  # words of findings
+WRITE_QUATERNIONS = "give quaternions as"  # start of the hint of a finding
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
 MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published errors 11 N
 # [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
@@ -84,6 +89,7 @@ LOCAL_SHARE = (0.001, 10.0)
 MAX_BORNE = 20.0  # [-]; usual force on all clusters over the usual load; sound 0.05 to 0.3
 MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
 MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
+MIN_CLEAR_GAIN = 0.1  # [-]; the same where other axes agree as well as while hands push
 MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
 MIN_AGREEMENT = 0.94  # [-]; of rotation and moment while hands push from all sides
 MIN_PUSH = 0.5  # [N m]; standard deviation of a moment beside the load; of sway up to 0.2
@@ -176,9 +182,10 @@ def check_data(
 
 
 def _without_faulty_pose(samples: Samples, raw: tuple[DataFinding, ...]) -> Samples:
-    """The samples, without poses if these jump or stand still: nothing is judged by such poses."""
-    stopped = any(each.source == "the limb pose" and STILL in each.fact for each in raw)
-    if not stopped and not any(_jumps(samples)):
+    """The samples, without poses that jump, stand still or are turned: these judge nothing."""
+    of_pose = [each for each in raw if each.source == "the limb pose"]
+    faulty = any(STILL in each.fact or each.hint.startswith(WRITE_QUATERNIONS) for each in of_pose)
+    if not faulty and not any(_jumps(samples)):
         return samples
     nothing = np.full_like(samples.position, np.nan)
     return replace(samples, position=nothing, rotation=nothing)
@@ -394,11 +401,13 @@ class _Courses:
         limit = max(MAX_CLUSTER_LAG, 2.5 * period)
         sources = zip(self.samples.clusters, motion.indentation.T, motion.pressing.T, strict=True)
         for name, tile, own in sources:
-            if _correlation(tile, own) > 1.0 - MIN_CLUSTER_GAIN:
+            if _correlation(tile, own) > MAX_LATE_FIT:
                 continue  # no delay can fit clearly better
             lag, fit, at_once = _best_lag(tile, own, period)
             # One that moves against its tile at once is reversed rather than late.
             clear = fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN, -at_once)
+            at_once_misfit, late_misfit = misfit_of(np.array([at_once, fit]))
+            clear |= fit > MIN_LATE_FIT and at_once_misfit - late_misfit > MIN_LATE_GAIN
             if clear and abs(lag) > limit:
                 found[name] = lag
         return found
@@ -417,7 +426,7 @@ class _Courses:
             return 0.0  # no delay can fit clearly better
         lag, fit, at_once = _best_lag(moment, rotation, period)
         gain = max(0.0, motion.axes_of_moment()[1])
-        clear = fit > max(at_once + gain + MIN_LAG_GAIN, MIN_POSE_FIT)
+        clear = fit > max(at_once + max(gain, MIN_LAG_GAIN), MIN_POSE_FIT)
         return lag if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period) else 0.0
 
     @cached_property
@@ -459,7 +468,8 @@ class _Courses:
         if self.motion is None or self.pose_lag:
             return ""
         name, gain = self.motion.axes_of_moment()
-        return name if gain > MIN_AXES_GAIN else ""
+        is_clear = self.motion.agreement + gain > MIN_AGREEMENT
+        return name if gain > (MIN_CLEAR_GAIN if is_clear else MIN_AXES_GAIN) else ""
 
     @cached_property
     def sinking(self) -> float:

@@ -22,14 +22,14 @@ from itertools import combinations
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.pose import about_z
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import MOMENTS, Samples
 
 # Horizontal axes as others may have them: what an error does to the vector (x, y).
+_TURNS = [angle for angle in range(-165, 181, 15) if abs(angle) >= 30]  # [deg]
 AXES: dict[str, FloatArray] = {
-    "turned by 90 degrees": np.array([[0.0, -1.0], [1.0, 0.0]]),
-    "turned by 180 degrees": np.array([[-1.0, 0.0], [0.0, -1.0]]),
-    "turned by -90 degrees": np.array([[0.0, 1.0], [-1.0, 0.0]]),
+    **{f"turned by {angle} degrees": about_z(np.radians(angle))[:2, :2] for angle in _TURNS},
     "exchanged": np.array([[0.0, 1.0], [1.0, 0.0]]),
     "exchanged and both reversed": np.array([[0.0, -1.0], [-1.0, 0.0]]),
     "left-handed (y reversed)": np.array([[1.0, 0.0], [0.0, -1.0]]),
@@ -38,8 +38,7 @@ AXES: dict[str, FloatArray] = {
 NEGATED = "turned by 180 degrees"
 OPPOSITE = {  # what the other of two vectors has, if the first one has the axes
     **{name: name for name in AXES},
-    "turned by 90 degrees": "turned by -90 degrees",
-    "turned by -90 degrees": "turned by 90 degrees",
+    **{f"turned by {a} degrees": f"turned by {-a} degrees" for a in _TURNS if a != 180},
 }
 LEAST_MOTION = 30  # samples with a pose, a wrench and all clusters
 _ROUNDING = 1e-9  # [-]; relative to the largest value of a course
@@ -101,7 +100,7 @@ class LimbMotion:
             shift[:, :2] = shift[:, :2] @ axes
             rotation[:, :2] = rotation[:, :2] @ axes
         found = self._follows(shift, rotation)
-        return float(_misfit(np.diag(found)).mean())
+        return float(misfit_of(np.diag(found)).mean())
 
     def exchanged(self) -> tuple[int, int, float]:
         """The two clusters whose forces fit each other's tiles best, if they were exchanged.
@@ -110,7 +109,7 @@ class LimbMotion:
             Their columns, and the gain in fit: the fall of log(1 - r^2) / 2, summed over both [-];
             negative if each fits its own tile better. At least two clusters are needed.
         """
-        misfit = _misfit(self._follows(self.shift, self.rotation))
+        misfit = misfit_of(self._follows(self.shift, self.rotation))
         gains = {
             (i, j): float(misfit[i, i] + misfit[j, j] - misfit[i, j] - misfit[j, i])
             for i, j in combinations(range(len(misfit)), 2)
@@ -186,6 +185,10 @@ def _alike(one: FloatArray, other: FloatArray) -> float:
     return float((one * other).sum() / size) if size > 0.0 else 0.0
 
 
-def _misfit(correlation: FloatArray) -> FloatArray:
-    """Logarithm of the part that a correlation leaves unexplained: log(1 - r^2) / 2 [-]."""
+def misfit_of(correlation: FloatArray) -> FloatArray:
+    """Logarithm of the part that correlations leave unexplained: log(1 - r^2) / 2 [-].
+
+    Args:
+        correlation: The correlations, of any shape; negative ones leave all of it [-].
+    """
     return np.asarray(0.5 * np.log(1.0 - np.clip(correlation, 0.0, _CERTAIN) ** 2))

@@ -273,10 +273,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> FittedMode
     Raises:
         ConfigurationError: If the file is not a model of this format, or of another socket.
     """
-    try:
-        data = documents.load_json(path, "a model")
-    except ConfigurationError as error:
-        raise ConfigurationError(error.fact, "give a file that 'fit' wrote") from None
+    data = documents.load_json(path, "a model", "give a file that 'fit' wrote")
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
     if data["format"] not in _FORMATS:

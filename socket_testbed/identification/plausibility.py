@@ -219,7 +219,7 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
     return (
         f"the wrench looks negated: its force would pull the socket towards the proximal end with"
         f" {pull:.3g} N in the median, while {pressing} of {len(pressed)} clusters are pressed"
-        f" ({sum(pressed):.3g} N), and walls only push; check the sign of the load cell"
+        f" ({sum(pressed):.3g} N), and walls only push"
     )
 
 

@@ -207,7 +207,7 @@ def _plausible_fit(
     fit = fit_contact_model(samples, geometry, settings)
     note = plausibility.sign_note(samples, geometry)
     if note is not None:
-        raise IdentificationError(note, "nothing is fitted until it is right")
+        raise IdentificationError(note, "check the sign of the load cell; nothing is fitted before")
     return fit
 
 

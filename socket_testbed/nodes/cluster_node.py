@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReading
+from socket_testbed.errors import joined
 from socket_testbed.live.hardware import make_clusters
 from socket_testbed.nodes.base import ERROR, OK, SAMPLES
 from socket_testbed.nodes.sensor_node import SensorNode
@@ -91,7 +92,7 @@ def named_faults(faults: Mapping[str, Sequence[str]], count: int) -> str:
     for name, own in faults.items():
         for fault in own:
             names.setdefault(fault, []).append(name)
-    return "; ".join(
+    return joined(
         fault if len(having) == count > 1 else f"{', '.join(having)}: {fault}"
         for fault, having in names.items()
     )

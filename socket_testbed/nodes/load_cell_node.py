@@ -162,5 +162,5 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._cell.settings = self.settings
         level, message = self._cell.health(clocks.monotonic())
         if level == OK and (fault := self.fault.text()):
-            return WARN, f"{fault}: missing; relieve the computer if this happens often"
+            return WARN, fault
         return level, message

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, joined
 from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes import base
@@ -98,7 +98,7 @@ class MocapNode(SensorNode[MocapSettings]):
         sample = self._tracker.sample(moment, window)
         faults = dict.fromkeys(body.fault for body in sample if body.fault)
         if faults:
-            self.fault.note(self._client.clock_fault or "; ".join(faults))
+            self.fault.note(self._client.clock_fault or joined(faults))
         return sample
 
     def _on_recorded(self, message: String) -> None:
@@ -121,7 +121,7 @@ class MocapNode(SensorNode[MocapSettings]):
         if level < base.ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
             # What the stream lacks comes first: it explains why a body has no pose.
             cause = [message] if level == base.WARN and not self._client.clock_fault else []
-            return base.WARN, "; ".join([*cause, *faults])
+            return base.WARN, joined([*cause, *faults])
         if level == base.OK and (fault := self._client.recording_fault):
             return base.WARN, fault
         return level, message

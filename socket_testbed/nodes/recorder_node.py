@@ -38,7 +38,8 @@ from socket_testbed.files import disk_hint, is_held, is_reachable, refuse_existi
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
 from socket_testbed.trials import metadata
-from socket_testbed.trials.bag import BagWriter, is_bag
+from socket_testbed.trials.bag import BagWriter
+from socket_testbed.trials.bag_parts import is_bag
 from socket_testbed.trials.trial import read_configuration, store_configuration
 from socket_testbed.wire.topics import RECORDED_TRIAL, TOPICS, Service
 
@@ -179,7 +180,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             bag.abandon()
             shutil.rmtree(path, ignore_errors=True)  # created above and still empty
             raise ConfigurationError(
-                f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
+                f"{path}: cannot be written ({error.strerror or error})", disk_hint(error)
             ) from None
         clock = self.get_clock()
         self._now = SteadyClock().now

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.arrays import FloatArray, IntArray, evenly, sample_at
-from socket_testbed.documents import check_number, finite_or_null, path_of
+from socket_testbed.documents import check_number, check_whole, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
@@ -270,7 +270,7 @@ class TrialMap(Result):
             ConfigurationError: The count is odd or below 2.
         """
         geometry = self.trial.geometry
-        check_number(count, "count", 2)
+        count = check_whole(count, "count", 2)
         if count % 2:
             raise ConfigurationError(f"{count} draws: an odd number", "give an even number")
         found = np.empty((len(self.time), count, len(geometry), 3))

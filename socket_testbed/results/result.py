@@ -130,6 +130,8 @@ class Result:
             check_kind(ax, Panel, "ax", "give axes, such as the second of plt.subplots()")
             self._draw_into(ax, (vmin, vmax))
         if path is not None:
+            if hasattr(path, "get_figure"):
+                raise ConfigurationError("the file is a part of a figure", "give axes as ax=...")
             check_suffix(path_of(path, "the file"), PICTURES, "picture")
             from socket_testbed.figures.style import save_figure
 

@@ -91,10 +91,13 @@ def _explained(declared: Settings | dataclasses.Field[Any]) -> str:
     text = f"{limits['description']}; default {declared.default!r}"
     if limits["choices"]:
         return f"{text}; one of {', '.join(map(repr, limits['choices']))}"
-    if limits["high"] - limits["low"] > FINITE:
-        return text
+    low, high = limits["low"], limits["high"]
     each = "each " if isinstance(declared.default, tuple) else ""
-    return f"{text}; {each}from {limits['low']:g} to {limits['high']:g}"
+    if low > -FINITE and high < FINITE:
+        return f"{text}; {each}from {low:g} to {high:g}"
+    if low > -FINITE:
+        return f"{text}; {each}at least {low:g}"
+    return f"{text}; {each}at most {high:g}" if high < FINITE else text
 
 
 def _entry(name: str, declared: Settings | dataclasses.Field[Any]) -> str:

@@ -18,6 +18,7 @@ from socket_testbed.drivers.load_cell.load_cell import Bridges
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import (
     PARAMETERS_FILE,
+    REPLACE_HINT,
     atomic_output,
     check_new_folder,
     make_folder,
@@ -250,9 +251,12 @@ def check_trial_folder(path: Path, replace: bool) -> None:
         ConfigurationError: If the folder exists and is not to be replaced, or is not a simulated
             trial, or cannot be made there.
     """
+    is_simulated = (path / TRUTH_FILE).is_file()
+    if is_simulated and not replace:
+        raise ConfigurationError(f"{path} exists already", REPLACE_HINT)
     if not (replace and path.exists()):
         check_new_folder(path)
-    elif not (path / TRUTH_FILE).is_file():
+    elif not is_simulated:
         raise ConfigurationError(
             f"{path} is not a simulated trial, and only such a one is replaced",
             "name another folder",

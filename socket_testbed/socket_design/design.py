@@ -207,7 +207,8 @@ class SocketDesign:
 
     def __repr__(self) -> str:
         return (
-            f"SocketDesign({self.name}: {len(self.geometry)} tiles on {self.tiling.cover:.0%} of"
+            f"SocketDesign({self.name}: {len(self.geometry)} tiles on"
+            f" {100.0 * self.tiling.cover:.0f} % of"
             f" {1e4 * self.tiling.interior_area:.0f} cm^2)"
         )
 

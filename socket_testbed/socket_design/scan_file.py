@@ -23,7 +23,7 @@ from trimesh.graph import connected_component_labels
 from trimesh.grouping import group_rows, unique_rows
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.documents import GET_LFS, IS_LFS_POINTER, LFS_POINTER
+from socket_testbed.documents import OTHER_FILE_START, other_file
 from socket_testbed.errors import ScanError, closest
 
 
@@ -281,8 +281,8 @@ def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
         data = path.read_bytes()
     except OSError as error:
         raise ScanError(f"{path}: cannot be read ({error.strerror})", "check the path") from None
-    if data.startswith(LFS_POINTER):
-        raise ScanError(f"{path}: {IS_LFS_POINTER}", GET_LFS)
+    if other := other_file(data[:OTHER_FILE_START]):
+        raise ScanError(f"{path}: {other[0]}", other[1])
     if kind != "ply" and re.match(rb"ply[ \t]*\r?\n", data):
         kind = "ply"
     data = _plain_obj(path, data) if kind == "obj" else data

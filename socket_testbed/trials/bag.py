@@ -13,7 +13,7 @@ import os
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 from backports import zstd
 from rosbags import interfaces
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
-from socket_testbed.errors import TrialError, listed
+from socket_testbed.errors import ConfigurationError, TrialError, listed
 from socket_testbed.files import TemporaryFolder, disk_hint, hold, sync
 from socket_testbed.trials.bag_parts import (
     BAG_METADATA,
@@ -34,8 +34,12 @@ from socket_testbed.trials.bag_parts import (
     ZSTD_MAGIC,
     BagMetadata,
     ListedFile,
+    archive_content,
+    find_archives,
     find_storage,
-    is_storage,
+    is_bag,
+    is_packed_storage,
+    known_content,
     missing_numbers,
     number_of_parts,
     plain_name,
@@ -281,6 +285,9 @@ class BagReader:
             return listed_parts, True
         more = [self._open_part(ListedFile(name), files) for name, files in stored.items()]
         if not (listed_parts or more):
+            for archive in find_archives(self.path):
+                fact, hint = archive_content(archive)
+                raise TrialError(f"{archive}: {fact}", hint)
             raise TrialError(f"{self.path}: holds no .mcap or .db3 file", "give a trial's folder")
         parts = self._without_copies([*listed_parts, *more])
         if listed_parts and len(parts) == len(listed_parts):
@@ -319,11 +326,20 @@ class BagReader:
             except TrialError as failure:
                 error = error or failure
         if error is None:
-            error = TrialError(
-                f"{self.path / stated.name}: is named in metadata.yaml but is not there",
-                "copy all of the folder, or make metadata.yaml again with 'ros2 bag reindex'",
-            )
+            error = self._absent(stated.name)
         return _Part(stated.name, stated, promised, bool(files), error=error)
+
+    def _absent(self, name: str) -> TrialError:
+        """The error for a part that is not there, unless in an archive."""
+        for archive in find_archives(self.path):
+            if archive.name.startswith(name) or not is_packed_storage(archive):
+                fact, hint = archive_content(archive)
+                there = f"is not there, but {archive.name}, which {fact}"
+                return TrialError(f"{self.path / name}: {there}", hint)
+        return TrialError(
+            f"{self.path / name}: is named in metadata.yaml but is not there",
+            "copy all of the folder, or make metadata.yaml again with 'ros2 bag reindex'",
+        )
 
     def _without_copies(self, parts: list[_Part]) -> list[_Part]:
         """The parts without the shorter ones of those that begin at the same nanosecond."""
@@ -354,6 +370,8 @@ class BagReader:
         if kind == ".zstd":
             path = self._unpack(file)
             kind = storage_kind(path)
+            if (inside := known_content(path)) is not None:
+                raise TrialError(f"{file}: {inside[0]} once it is unpacked", inside[1])
         if kind == ".mcap":
             return McapFile(self._stack.enter_context(path.open("rb")), file)
         if kind == ".db3":
@@ -580,13 +598,6 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
 
 
-def is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag, even if broken or still written."""
-    return folder.is_dir() and any(
-        f.name == BAG_METADATA or is_storage(f) for f in folder.iterdir()
-    )
-
-
 def holds_nothing(folder: Path) -> bool:
     """Whether a recording was truncated before any message reached the disk.
 
@@ -605,8 +616,8 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
 
     Args:
         folder: Where to look; it may itself be a trial, a file, or missing.
-        notify: Called with one line for each empty recording; by default they are left out
-            silently.
+        notify: Called with one line for each empty recording, and each in an archive; by default
+            they are left out silently.
 
     Returns:
         The trials' folders by name, which is the path below the folder, such as `s01/hold`. Empty
@@ -618,28 +629,40 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
     try:
         if not folder.is_dir() or is_bag(folder):
             return {}
-        found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, ())}
+        packed: list[Path] = []
+        found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, (), packed)}
         empty = sorted(name for name, path in found.items() if holds_nothing(path))
     except OSError as error:
         fact = f"{error.filename}: cannot be read ({error.strerror})"
         raise TrialError(fact, disk_hint(error)) from None
+    for archive in packed:
+        fact, hint = archive_content(archive)
+        notify(f"{archive.relative_to(folder).as_posix()} is left out: it {fact}: {hint}")
     for name in empty:
         notify(f"{name} is left out: it holds nothing, its recorder was killed while it started")
         del found[name]
     return dict(sorted(found.items()))
 
 
-def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
+def _walk(folder: Path, above: tuple[Path, ...], packed: list[Path]) -> Iterator[Path]:
+    """The bags below a folder that is none.
+
+    Args:
+        folder: The folder.
+        above: The folders above it, without links.
+        packed: Receives the storage files in archives, none of which is read.
+    """
     real = folder.resolve()
     if real in above:  # a link to a parent
         return
+    packed += filter(is_packed_storage, find_archives(folder))
     for path in folder.iterdir():
         if path.name.startswith(".") or not path.is_dir():
             continue
         if is_bag(path):
             yield path
         else:
-            yield from _walk(path, (*above, real))
+            yield from _walk(path, (*above, real), packed)
 
 
 def _damaged(file: Path, error: Exception) -> TrialError:
@@ -652,17 +675,24 @@ class BagWriter:
 
     Attributes:
         path: The folder, which entry creates.
+
+    Raises:
+        ConfigurationError: At once or on entry, if the folder exists, as another process may have
+            made it meanwhile.
+        OSError: On entry, if the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        with self._refusing():
+            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, interfaces.Connection] = {}
         self._chunk_time: int | None = None  # [ns]; of its first message
         self._lock = -1  # descriptor that locks the folder while it is written
 
     def __enter__(self) -> Self:
-        self._writer.open()
+        with self._refusing():
+            self._writer.open()
         self._lock = hold(self.path)
         with suppress(OSError):  # unsupported on network drives
             sync(self.path)
@@ -678,6 +708,15 @@ class BagWriter:
         for file in (recording, self._writer.metapath):
             sync(file)
         os.close(self._lock)
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Refuse a folder that exists; the library's own error is none of this package."""
+        try:
+            yield
+        except WriterError:
+            fact = f"{self.path} exists already: another process made it meanwhile"
+            raise ConfigurationError(fact, "name another folder") from None
 
     def _write_index_checksum(self, file: Path) -> None:
         """Write the checksum of the index; the library leaves it zero (unchecked)."""

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from socket_testbed.documents import GET_LFS, IS_LFS_POINTER, LFS_POINTER, load_yaml
-from socket_testbed.errors import TrialError
+from backports import zstd
+
+from socket_testbed.documents import OTHER_FILE_START, load_yaml, other_file
+from socket_testbed.errors import TestbedError, TrialError
 
 BAG_METADATA = "metadata.yaml"  # of a closed bag
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -27,16 +30,17 @@ HOLDS_NOTHING = (
 )
 MAX_APART = 24 * 3600 * 10**9  # [ns]; of a time from the middle one of a trial
 
+_ARCHIVE_NAME = re.compile(r"\.(gz|tgz|xz|bz2|lz4|zip|7z|rar|tar)$", re.IGNORECASE)
+_PACKED_STORAGE_NAME = re.compile(r"\.(mcap|db3)(\.tar)?\.\w+$", re.IGNORECASE)
+_SCHEMA_SIZE = 2**16  # [bytes]; within which SQLite names the tables of a small schema
+_SQLITE_TABLES = (b"topics", b"messages")
 _STORAGE_NAME = re.compile(r"\.(mcap|db3)(\.zstd?)?$", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?P<bag>.*_)(?P<number>\d{1,3})(?P<suffix>\.\w+)")
 _PACKED_SUFFIX = re.compile(r"\.zstd?$", re.IGNORECASE)
 # Starts of files that people take for a recording: what they are, and how to get the recording.
 _OTHERS = {
-    LFS_POINTER: (IS_LFS_POINTER, GET_LFS),
     b"#ROSBAG V": ("is a bag of ROS 1", "convert it with 'rosbags-convert'"),
     b"<": ("is a web page or XML, not a recording", "download the recording itself"),
-    b"PK\x03\x04": ("is a ZIP archive", "unpack it"),
-    b"\x1f\x8b": ("is compressed with gzip", "unpack it with 'gunzip'"),
 }
 
 
@@ -149,14 +153,80 @@ def find_storage(bag: Path) -> list[Path]:
 
 
 def _holds_storage(file: Path) -> bool:
-    """Whether a visible file of any other name begins as MCAP or SQLite."""
+    """Whether a visible file of any other name begins as a recording, compressed or not.
+
+    A database of another program, which has other tables, is none.
+    """
     if file.name.startswith(".") or file.name == BAG_METADATA:
         return False
     try:
         with file.open("rb") as stream:
-            return stream.read(len(SQLITE_MAGIC)).startswith((MCAP_MAGIC, SQLITE_MAGIC))
+            start = stream.read(_SCHEMA_SIZE)
+        if start.startswith(ZSTD_MAGIC):
+            start = _unpacked_start(file)
     except OSError:  # a file beside the recording may belong to somebody else
         return False
+    if start.startswith(SQLITE_MAGIC):
+        return all(table in start for table in _SQLITE_TABLES)
+    return start.startswith(MCAP_MAGIC)
+
+
+def _unpacked_start(file: Path) -> bytes:
+    """The first bytes of a file that is compressed with zstd; empty if it is damaged."""
+    with suppress(EOFError, zstd.ZstdError), zstd.open(file, "rb") as stream:
+        return stream.read(_SCHEMA_SIZE)
+    return b""
+
+
+def find_archives(folder: Path) -> list[Path]:
+    """The archives in a folder by their names, such as `hold.mcap.gz` and `hold.zip`.
+
+    Those named after a storage file come first.
+    """
+    found = [
+        file
+        for file in folder.iterdir()
+        if _ARCHIVE_NAME.search(file.name) and not file.name.startswith(".") and file.is_file()
+    ]
+    return sorted(found, key=lambda file: (not is_packed_storage(file), _by_number(file.name)))
+
+
+def is_packed_storage(file: Path) -> bool:
+    """Whether a file's name is that of a storage file in an archive, such as `hold.mcap.gz`."""
+    return bool(_ARCHIVE_NAME.search(file.name) and _PACKED_STORAGE_NAME.search(file.name))
+
+
+def archive_content(archive: Path) -> tuple[str, str]:
+    """What an archive is, and how to unpack it."""
+    with suppress(OSError):
+        if (known := known_content(archive)) is not None:
+            return known
+    return "is an archive by its name", "unpack it"
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag, even if broken or still written.
+
+    It is one by a storage file, or by a metadata.yaml that may be that of a bag: a folder of trials
+    may have one of another kind.
+    """
+    if not folder.is_dir():
+        return False
+    found = [*folder.iterdir()]
+    return (
+        any(map(is_storage, found))
+        or any(path.name == BAG_METADATA and _may_describe_bag(path) for path in found)
+        or any(path.is_file() and _holds_storage(path) for path in found)
+    )
+
+
+def _may_describe_bag(file: Path) -> bool:
+    """Whether a metadata.yaml is that of rosbag2, or cannot be read."""
+    try:
+        content = load_yaml(file)
+    except (TestbedError, OSError):
+        return True
+    return not isinstance(content, dict) or "rosbag2_bagfile_information" in content
 
 
 def _by_number(name: str) -> list[tuple[int, str]]:
@@ -167,12 +237,19 @@ def _by_number(name: str) -> list[tuple[int, str]]:
 
 def what_else(file: Path) -> TrialError | None:
     """The error for a file that is no recording but something known, such as a Git LFS pointer."""
+    known = known_content(file)
+    return None if known is None else TrialError(f"{file}: {known[0]}", known[1])
+
+
+def known_content(file: Path) -> tuple[str, str] | None:
+    """What a file is that is no recording but something known, and what to do; None otherwise."""
     with file.open("rb") as stream:
-        start = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
-    for beginning, (fact, hint) in _OTHERS.items():
-        if start.startswith(beginning):
-            return TrialError(f"{file}: {fact}", hint)
-    return None
+        start = stream.read(OTHER_FILE_START)
+    if known := other_file(start):
+        return known
+    start = start.lstrip(b"\xef\xbb\xbf \t\r\n")
+    found = (known for beginning, known in _OTHERS.items() if start.startswith(beginning))
+    return next(found, None)
 
 
 def storage_kind(file: Path) -> str:

@@ -29,7 +29,7 @@ from socket_testbed.arrays import BREAK, BoolArray, FloatArray, gaps, runs, usua
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError, listed
-from socket_testbed.files import atomic_output, write_text
+from socket_testbed.files import TABLES, atomic_output, write_text
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
@@ -41,6 +41,7 @@ from socket_testbed.wire.topics import MARKERS
 
 _CDR_HEADER = b"\x00\x01\x00\x00"  # little endian
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
+EXPORT_FORMATS = (*TABLES, *GAIT_FORMATS, ".mcap")
 _LOAD_COLUMNS = [f"socket_{name}{i}" for name in ("force_v", "force_p", "torque_") for i in "xyz"]
 
 

@@ -9,33 +9,39 @@ of a cluster, the bridges of the load cell, and each marker body.
   chance, and come back later: these do not count.
 - A declared cluster without a message, and a load above the capacity of the load cell, are faults
   whatever else was measured.
+- The quaternions of a marker body turn as its markers do.
 - What the nodes reported as an ERROR during the recording is told again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, gaps, runs, usual_period
 from socket_testbed.drivers import ERROR
 from socket_testbed.drivers.load_cell import load_cell
-from socket_testbed.errors import fact_and_hint
+from socket_testbed.errors import TrialError, fact_and_hint
+from socket_testbed.geometry.marker_bodies import fit_body
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.data_check import (
     LEAST_CHECKED,
     MAX_MISSING,
     STILL,
+    WRITE_QUATERNIONS,
     DataFinding,
     still_limit,
 )
 from socket_testbed.identification.noise import deviations
 from socket_testbed.settings.acquisition import LoadCellSettings
-from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.wire import topics
 from socket_testbed.wire.cdr import decode, stamp_of
+from socket_testbed.wire.messages import Reader
 
 MAX_REPEATED = 0.1  # [-]; share of readings that repeat the one before; sound 0.0
 NOISE_RATIO = 8.0  # [-]; of an input's noise to that of its cluster's others; sound up to 1.6
@@ -107,6 +113,86 @@ def check_reports(bag: BagReader, stamps: tuple[int, int]) -> Iterator[DataFindi
             f"it reported an ERROR {when}: {fact or hint}",
             hint if fact else "see docs/faults.md",
         )
+
+
+_COMPARED_POSES = 60  # at the start of a trial, of which each is compared with its markers
+_LEAST_POSES = 10
+_MAX_TURN = 0.1  # [rad]; of a pose from its markers; a marker's noise makes some mrad
+# How others write the quaternion (x, y, z, w) of a body in the world: places of x, y, z and w in
+# theirs, and the sign of the first three.
+_QUATERNIONS = {
+    "written as (w, x, y, z)": ([1, 2, 3, 0], 1.0),
+    "written as (y, z, w, x)": ([3, 0, 1, 2], 1.0),
+    "those of the world in the body": ([0, 1, 2, 3], -1.0),
+    "those of the world in the body, written as (w, x, y, z)": ([1, 2, 3, 0], -1.0),
+}
+
+
+def check_orientations(bag: BagReader, geometry: SocketGeometry) -> Iterator[DataFinding]:
+    """Poses whose quaternions are written in another way, as their markers show.
+
+    Args:
+        bag: The open bag; without markers nothing is found.
+        geometry: The socket, with the markers in their bodies' frames.
+
+    Yields:
+        A finding per marker body.
+    """
+    names = required_topics(bag)
+    if not bag.counts.get(names.get(topics.MARKERS, "")):
+        return
+    wanted = {names[topic]: topic for topic in (topics.MARKERS, *topics.POSES.values())}
+    readers = {topic: Reader(topic, bag.path) for topic in wanted.values()}
+    poses: dict[str, dict[int, FloatArray]] = {body: {} for body in topics.POSES}
+    markers: dict[str, dict[int, FloatArray]] = {body: {} for body in topics.POSES}
+    bodies = {topic: body for body, topic in topics.POSES.items()}
+    for raw in islice(bag.messages([*wanted]), len(wanted) * _COMPARED_POSES):
+        topic = wanted[raw.topic]
+        try:
+            stamp, values = readers[topic].read(raw.data)
+        except TrialError:  # those who read all of them report it
+            continue
+        if topic in bodies:
+            poses[bodies[topic]][stamp] = values
+            continue
+        for body, seen in values:
+            if body in markers:
+                markers[body][stamp] = seen
+    for body, own in poses.items():
+        stamps = [stamp for stamp in own if stamp in markers[body]]
+        quaternions = np.array([own[stamp][3:] for stamp in stamps]).reshape(-1, 4)
+        seen = np.full((len(stamps), len(geometry.markers[body]), 3), np.nan)
+        for row, stamp in enumerate(stamps):
+            there = markers[body][stamp][: seen.shape[1]]
+            seen[row, : len(there)] = there
+        if how := _other_quaternion(quaternions, fit_body(geometry.markers[body], seen).pose):
+            yield DataFinding(
+                "the limb pose",
+                f"the {body} turns as its markers do if its quaternions are {how}",
+                f"{WRITE_QUATERNIONS} (x, y, z, w), of the body in the world",
+            )
+
+
+def _other_quaternion(quaternions: FloatArray, shown: Pose) -> str:
+    """How quaternions, (N, 4) [-], are written if they fit the shown poses only so; else empty."""
+
+    def turn(given: FloatArray) -> float:
+        """Median angle between the poses [rad]; infinite if too few are known."""
+        rotation = Pose.from_quaternion(shown.translation, given).rotation
+        trace = np.einsum("nij,nij->n", rotation, shown.rotation)
+        known = trace[np.isfinite(trace)]
+        if len(known) < _LEAST_POSES:
+            return np.inf
+        return float(np.median(np.arccos(np.clip((known - 1.0) / 2.0, -1.0, 1.0))))
+
+    if not _MAX_TURN < turn(quaternions) < np.inf:
+        return ""
+    turns = {
+        how: turn(quaternions[:, places] * [sign, sign, sign, 1.0])
+        for how, (places, sign) in _QUATERNIONS.items()
+    }
+    best = min(turns, key=lambda how: turns[how])
+    return best if turns[best] <= _MAX_TURN else ""
 
 
 def _may_hold_error(data: bytes) -> bool:

@@ -286,12 +286,13 @@ class Trial:
 
     @cached_property
     def _reports(self) -> tuple[DataFinding, ...]:
-        """What nodes reported as an ERROR during the recording, see `check_reports`."""
-        from socket_testbed.trials.raw_check import check_reports
+        """Quaternions that do not fit the markers, and nodes' ERRORs: see `trials.raw_check`."""
+        from socket_testbed.trials.raw_check import check_orientations, check_reports
 
         stamps = self.samples().stamps
         with BagReader(self.path) as bag:
-            return tuple(check_reports(bag, (int(stamps[0]), int(stamps[-1]))))
+            found = [*check_orientations(bag, self.geometry)]
+            return (*found, *check_reports(bag, (int(stamps[0]), int(stamps[-1]))))
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.documents import GET_LFS, IS_LFS_POINTER, LFS_POINTER
 from socket_testbed.errors import TrialError
 
 TRUTH_FILE = "ground_truth.npz"
@@ -75,10 +77,11 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
             names = [field.name for field in fields(GroundTruth)[1:]]
             splines = [make_interp_spline(since, data[name], k=1) for name in names]
     except Exception as error:  # parsing may raise any error
-        raise TrialError(
-            f"{path / TRUTH_FILE}: is damaged ({error})",
-            "simulate the trial again, or remove the file",
-        ) from None
+        fact, hint = f"is damaged ({error})", "simulate the trial again, or remove the file"
+        with suppress(OSError), (path / TRUTH_FILE).open("rb") as file:
+            if file.read(len(LFS_POINTER)) == LFS_POINTER:
+                fact, hint = IS_LFS_POINTER, GET_LFS
+        raise TrialError(f"{path / TRUTH_FILE}: {fact}", hint) from None
     at = since if stamps is None else np.clip(stamps - times[0], 0, since[-1])
     return GroundTruth(tiles, *(spline(at) for spline in splines))
 

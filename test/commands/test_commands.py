@@ -96,7 +96,7 @@ def test_the_demo_refuses_a_recording_without_samples(
 ) -> None:
     monkeypatch.setattr(demo, "measure_speed", lambda: MachineSpeed(0.0, 0.04))
     monkeypatch.setattr(demo, "_complete", lambda trial: 0.0)
-    with pytest.raises(st.TestbedError, match=r"only 0% .* at a sixteenth of real time: this"):
+    with pytest.raises(st.TestbedError, match=r"only 0 % .* at a sixteenth of real time: this"):
         demo._record(Trial(tmp_path), 0, tmp_path)
 
 
@@ -120,6 +120,8 @@ WRONG = {
     "annotate HOLD --mass 4": ["--mass is 4.0"],
     "export HOLD -o moved.csv --about 100 0 200": ["about is [100.0", "from -2 to 2"],
     "export HOLD -o moved.csv --about 0 0 -3": ["about is [0.0, 0.0, -3.0", "from -2 to 2"],
+    "export nowhere -o all.foo": ["'.foo' is not the format of a trial's export", ".c3d"],
+    "simulate -o HOLD --seed=-1": ["--seed is -1", "at least 0"],
     "pressure HOLD -o regions.foo": ["'.foo' is not the format of a table", ".csv"],
     "compare HOLD": ["trials to compare: 1", "2 to 200"],
     "view --tare none": ["--tare is for a trial"],

@@ -387,7 +387,7 @@ def test_an_incomplete_demo_runs_at_half_speed(
     assert found == ("samples", 0.2) and runs == [0.4, 0.2]
     assert capsys.readouterr().out.splitlines() == [
         "   busy",
-        "   only 89% of the samples are complete: again at 0.2 of real time",
+        "   only 89 % of the samples are complete: again at 0.2 of real time",
         "   recorded",
     ]
 
@@ -397,7 +397,7 @@ def test_the_last_attempt_of_a_demo_needs_a_third(tried: Callable[[list[float]],
     with pytest.raises(TrialError) as found:
         tried([0.1, 0.1, 0.1, 0.1, 0.29])
     assert str(found.value) == (
-        "only 29% of the samples are complete, even at a sixteenth of real time: this machine is"
+        "only 29 % of the samples are complete, even at a sixteenth of real time: this machine is"
         " too busy: end other programs, or try again later"
     )
 

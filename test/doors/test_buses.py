@@ -661,7 +661,7 @@ def test_a_bridge_at_either_rail_is_saturated(
     reading = own.wrench_at(10.0)
     assert reading.status == Status.SATURATED and np.isnan(reading.wrench).all()
     words = f"bridge {1 + bridge} (input {INPUTS[bridge]}) is at its rail"
-    assert reading.fault == words
+    assert reading.fault == f"{words}: unload the cell, or lower the gain"
     level, text = own.health(10.0)
     assert level == ERROR and text.startswith(f"{words} for 5 conversions or more: a broken wire?")
 
@@ -682,7 +682,9 @@ def test_missing_conversions_leave_no_wrench(monkeypatch: pytest.MonkeyPatch) ->
     FakeClock(10.0).install(monkeypatch)
     reading = cell(codes_of(3, 100.0), slice(1985, 1996)).wrench_at(10.0)
     assert reading.status == Status.MISSING and np.isnan(reading.wrench).all()
-    assert reading.fault == "9 of 20 conversions around the trigger"
+    assert reading.fault == (
+        "9 of 20 conversions around the trigger: relieve the computer if this happens often"
+    )
 
 
 def test_a_tare_is_taken_off(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,7 +99,7 @@ CASES: dict[str, tuple[str, Callable[[np.ndarray], object], str, str]] = {
         *("rotation", lambda v: v.__setitem__((ALL, 2), np.where(np.arange(96) % 2, 0.8, -0.8))),
         *("the limb pose", "the limb turns by 46 deg in the socket"),
     ),
-    "negated wrench": ("wrench", np.negative, "the wrench", "sign"),
+    "negated wrench": ("wrench", np.negative, "the wrench", "looks negated"),
     "weak clusters": (  # 98.1 N together; 0.35355 of it is their standard deviation
         *("local_forces", times(ALL, factor=1e-4), "the clusters"),
         "their forces change by 0.0035 N while the load does by 21 N",

@@ -25,7 +25,7 @@ from support.arrivals import (
 
 from socket_testbed import api
 from socket_testbed.__main__ import VERBS
-from socket_testbed.commands import live
+from socket_testbed.commands import demo, live
 from socket_testbed.errors import TestbedError
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import GraphNode
@@ -434,6 +434,54 @@ def test_an_option_arrives(verb: str, option: str, stage: Stage) -> None:
     if isinstance(expected, Some):
         changed = {name: changed.get(name) for name in expected}
     assert changed == expected
+
+
+def test_a_run_summarises_its_own_trials(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not one of an earlier run in the same folder, but a second one of its own."""
+    PREPARE["run"](stage, Clock())
+
+    def recorded(name: str) -> None:
+        folder = Path("days") / name
+        folder.mkdir(parents=True)
+        (folder / "part.mcap").touch()
+
+    def started(graph: Any, testbed: Testbed) -> World:
+        recorded("walk")
+        recorded("walk_3")
+        return World(stage)
+
+    summarised: list[str] = []
+    monkeypatch.setattr(live.bringup, "start", started)
+    monkeypatch.setattr(live, "_summarise", lambda found: summarised.extend(map(str, found)))
+    recorded("walk_2")
+    call_verb(stage, *joined("run", LEAST["run"], {"record": "--record days/walk"}))
+    assert summarised == ["days/walk", "days/walk_3"]
+
+
+@pytest.mark.parametrize(
+    ("recorded", "speed"), [(0.5, 1.25), (0.2, 1.0)], ids=["slower now", "slower then"]
+)
+def test_a_demo_replays_at_the_lower_speed(
+    recorded: float, speed: float, stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five times the share of real time that the machine kept up with, now a quarter."""
+    machine = SimpleNamespace(time_scale=lambda: 0.25)
+    monkeypatch.setattr(demo, "measure_speed", lambda: machine)
+    monkeypatch.setattr(demo, "_prepare_folder", lambda folder: None)
+    monkeypatch.setattr(demo, "_record", lambda trial, seed, log: ("samples", recorded))
+
+    def estimated(trial: Trial, samples: Any, speed: float, log: Path) -> None:
+        stage.seen |= {"speed": speed, "code": 1}
+        raise TestbedError("that is all", "look at what has arrived")
+
+    monkeypatch.setattr(demo, "_estimate", estimated)
+    assert call_verb(stage, "demo")["speed"] == speed
+
+
+def test_a_replay_checks_no_channel_left_out(stage: Stage) -> None:
+    PREPARE["replay"](stage, Clock())
+    words = joined("replay", LEAST["replay"], {"params": "--params without.yaml"})
+    assert call_verb(stage, *words)["checked without"] == ("Mz", "distal.Fx")
 
 
 DEFAULTS: dict[str, dict[str, Any]] = {

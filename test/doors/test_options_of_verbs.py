@@ -585,6 +585,26 @@ def test_an_option_arrives_in_a_batch(verb: str, option: str, stage: Stage) -> N
     assert changes(usual, found) == expected
 
 
+WITH_PARAMS = [verb for verb in CASES if {"params", "trial"} <= {*CASES[verb]}]
+
+
+@pytest.mark.parametrize("verb", WITH_PARAMS)
+def test_a_file_s_channels_are_not_checked(verb: str, stage: Stage) -> None:
+    PREPARE[verb](stage)
+    words = {"params": "--params without.yaml"}
+    found = call_verb(stage, *joined(verb, LEAST[verb], words))
+    assert found["checked without"] == ("Mz", "distal.Fx")
+
+
+@pytest.mark.parametrize("verb", [verb for verb in ROWS if verb in WITH_PARAMS])
+def test_a_batch_checks_no_channel_left_out(verb: str, stage: Stage) -> None:
+    PREPARE[verb](stage)
+    batched(stage)
+    least = LEAST[verb] | {"trial": "study", "output": "-o new"}
+    found = call_verb(stage, *joined(verb, least, {"params": "--params without.yaml"}))
+    assert found["checked without"] == ("Mz", "distal.Fx")
+
+
 @pytest.mark.parametrize("verb", ROWS)
 def test_a_batch_has_its_outputs(verb: str, stage: Stage) -> None:
     PREPARE[verb](stage)

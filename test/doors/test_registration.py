@@ -25,7 +25,10 @@ from support import scene, takes, verbs
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.errors import RegistrationError
+from socket_testbed.geometry.marker_bodies import PoseUncertainty
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
+from socket_testbed.socket_design import registration
 
 FRAMES = 62
 # Places in mm: in {S}, and in the limb's frame
@@ -34,6 +37,7 @@ IN_CELL = {
     **{"Socket:Marker3": (-30, -80, 100), "Cell:1": (60, 0, 0), "Cell:2": (-60, 0, 0)},
     **{"Cell:3": (0, 80, 40), "Cell:4": (0, -80, 40)},
 }
+CELLS = ("Cell:1", "Cell:2", "Cell:3", "Cell:4")
 IN_LIMB = {
     **{"Pylon:Marker1": (10, -20, -150), "Pylon:Marker2": (10, -20, -50)},
     **{"Pylon:Marker3": (10, 40, -150), "Limb:1": (0, 70, 100), "Limb:2": (50, -30, 120)},
@@ -176,6 +180,69 @@ PRINTED = {
     "q": "limb position q in {S}: (5.00, 10.00, 130.00) mm",
     "q's sigma": "1 sigma: (1.53, 1.25, 0.61) mm, 2.07 mm in all; noise of a single frame: 0.00 mm",
 }
+
+
+def with_limb_errors(folder: Path) -> list[str]:
+    """The words of a call on a take where the limb's landmarks do not fit, and the cell's do.
+
+    The limb's landmarks are seen 2 % too far from (0, 0, 120), and the cell's are right.
+
+    They are placed as the cell's, so that 1 sigma of rotations about the limb's x, y and z is again
+    0.01, 0.01279 and 0.00849 rad. Its origin is 120 mm from there: along x 0.6 mm and 120 mm of
+    0.01279, together 1.648 mm; along y 0.6 mm and 1.2 mm, together 1.342 mm; along z 0.6 mm. The
+    limb's y is the z of {S}, and its z the -y: (1.648, 0.6, 1.342) mm in {S}, 2.208 mm in all. The
+    pylon's body has the limb's z, y and -x as its x, y and z.
+    """
+    centre = np.array([0.0, 0.0, 120.0])
+    places = {f"Limb:{name[-1]}": np.array(IN_CELL[name]) + [0, 0, 100] for name in CELLS}
+    markers, document = seen(stretch=1.0), landmarks()
+    for name, known in places.items():
+        own = centre + 1.02 * (known - centre)
+        at = place(CELL_IN_WORLD, place(LIMB_IN_CELL, own))
+        markers[name] = np.tile(1e-3 * at, (FRAMES, 1))
+        document["limb"][name] = [1e-3 * float(x) for x in known]
+    return write(folder, markers, document)
+
+
+def test_the_limb_s_errors_are_in_the_socket_s_axes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = verbs.call(capsys, *with_limb_errors(tmp_path))
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert code == 0
+    assert (
+        "1 sigma: (1.65, 0.60, 1.34) mm, 2.21 mm in all; noise of a single frame: 0.00 mm" in lines
+    )
+    assert "1 sigma: (0.60, 1.34, 1.65) mm, (0.486, 0.733, 0.573) deg about x, y, z" in lines
+
+
+def test_the_limb_s_errors_turn_with_its_body(tmp_path: Path) -> None:
+    """A body whose y, z and x are the limb's x, y and z has the variances in this order."""
+    words = with_limb_errors(tmp_path)
+    found = st.register(words[1], words[3], words[5])
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    body = replace(found.geometry, limb=Pose(turn, np.zeros(3)))
+    position, rotation = replace(found, geometry=body).limb_covariances()
+    assert 1e3 * np.sqrt(np.diag(position)) == pytest.approx([0.6, 1.648, 1.342], abs=1e-3)
+    assert np.sqrt(np.diag(rotation)) == pytest.approx([0.00849, 0.01, 0.01279], abs=1e-5)
+
+
+def test_a_frame_s_noise_is_in_the_socket_s_axes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pylon's noise of 1, 2 and 3 mm along the limb's axes, beside none of the socket's."""
+    noise = {"Limb": np.diag([1e-6, 4e-6, 9e-6]), "Socket": np.zeros((3, 3))}
+    real = registration._register_body
+
+    def noisy(take: Any, side: Any, force: bool) -> Any:
+        body = "Limb" if side.frame == "limb" else "Socket"
+        single = PoseUncertainty(np.zeros(3), noise[body], np.zeros((3, 3)))
+        return replace(real(take, side, force), single=single)
+
+    monkeypatch.setattr(registration, "_register_body", noisy)
+    words = write(tmp_path, seen(), landmarks())
+    found = st.register(words[1], words[3], words[5])
+    np.testing.assert_allclose(1e6 * found.single, np.diag([1.0, 9.0, 4.0]), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", PRINTED)

@@ -144,7 +144,7 @@ def test_doctor_beside_a_silent_program_names_it(next_to: Callable[..., Printed]
     printed = next_to({})
     assert printed.lines[3:] == [
         "devices failed another program uses i2c-1 (process 4711, socket-testbed run)"
-        " end it first: Ctrl-C, or systemctl stop if it is a service"
+        " end it first (Ctrl-C, or systemctl stop if it is a service)"
     ]
     assert printed.code == 1
 

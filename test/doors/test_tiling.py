@@ -337,7 +337,7 @@ def test_the_facts_have_their_units(fact: str) -> None:
 
 
 def test_a_design_is_shown_in_one_line() -> None:
-    assert repr(by_hand()) == "SocketDesign(a.stl: 12 tiles on 57% of 200 cm^2)"
+    assert repr(by_hand()) == "SocketDesign(a.stl: 12 tiles on 57 % of 200 cm^2)"
 
 
 def test_a_socket_without_clusters_says_so() -> None:

@@ -108,5 +108,5 @@ def test_a_group_that_does_not_help_is_not_named(
     path.touch()
     path.chmod(mode)
     monkeypatch.setattr(grp, "getgrgid", lambda gid: SimpleNamespace(gr_name=group))
-    with refused(DeviceError, "may not use it", 'udev rule: KERNEL=="i2c-1", GROUP="i2c"'):
+    with refused(DeviceError, "may not use it", 'udev rule KERNEL=="i2c-1", GROUP="i2c"'):
         raise drivers.not_permitted(str(path), "i2c")

@@ -250,12 +250,12 @@ CHIP_LINES: dict[str, tuple[tuple[int, ...], Callable[[Fdc1004], Any], str]] = {
     "maker": (
         (0x5448, DEVICE),
         Fdc1004.check_identity,
-        "says maker 0x5448, not 0x5449: check the address and the wiring: this is not an FDC1004",
+        "says maker 0x5448, not 0x5449: check the address and the wiring, this is not an FDC1004",
     ),
     "device": (
         (MAKER, 0x1005),
         Fdc1004.check_identity,
-        "says device 0x1005, not 0x1004: check the address and the wiring: this is not an FDC1004",
+        "says device 0x1005, not 0x1004: check the address and the wiring, this is not an FDC1004",
     ),
     "reset": (
         (0x8000,) * 10,

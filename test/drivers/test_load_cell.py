@@ -368,7 +368,7 @@ def test_a_bridge_at_its_rail_is_named() -> None:
     assert level == 2
     check_line(text, "bridge 3 (input 5) is at its rail for 5 conversions or more: a broken wire?")
     _, reading = bench.readings[-1]
-    assert reading.fault == "bridge 3 (input 5) is at its rail"
+    assert reading.fault == "bridge 3 (input 5) is at its rail: unload the cell, or lower the gain"
     assert reading.status == Status.SATURATED and np.isnan(reading.ratios).all()
 
 

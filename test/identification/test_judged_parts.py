@@ -77,3 +77,26 @@ def test_a_point_has_its_stages_worst_residual(worse: str, monkeypatch: pytest.M
     fronts = pareto.pareto_front(samples, geometry, settings, [0.5])
     assert seen == {True, False}
     assert [front.residual.tolist() for front in fronts.values()] == [[3e-9], [3e-9]]
+
+
+def test_models_are_judged_on_chosen_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of three are fitted, the first and the last; of the other, the force map alone."""
+    trial: Any = SimpleNamespace(geometry=scene.geometry(), path="nowhere", metadata=None)
+    samples: Any = SimpleNamespace(stamps=None)
+    read = [api._Recording(name, trial, EstimatorSettings(), samples) for name in "abc"]
+    monkeypatch.setattr(api, "as_trial", lambda given: given)
+    monkeypatch.setattr(api, "_recordings", lambda *_: read)
+    monkeypatch.setattr(api, "_MAX_FITTED", 2)
+    monkeypatch.setattr(api, "read_true_forces", lambda *_: None)
+    monkeypatch.setattr(api._Recording, "judge_others", lambda self, others: [])
+    monkeypatch.setattr(
+        validation, "judge_map", lambda _, geometry, settings, name, prior: [f"map of {name}"]
+    )
+    monkeypatch.setattr(
+        validation,
+        "judge_samples",
+        lambda _, geometry, settings, truth, name, note, prior: [f"all of {name}"],
+    )
+    found = api.validate("a", "b", "c")
+    assert (found.trials, found.fitted) == (("a", "b", "c"), ("a", "c"))
+    assert found.judgements == ("all of a", "map of b", "all of c")

@@ -156,8 +156,11 @@ def test_only_a_simulated_trial_is_replaced(tmp_path: Path) -> None:
     )
     (tmp_path / "ground_truth.npz").write_text("")
     check_trial_folder(tmp_path, replace=True)
-    with pytest.raises(ConfigurationError, match="exists already"):
-        check_trial_folder(tmp_path, replace=False)
+    found = line_of(lambda: check_trial_folder(tmp_path, replace=False), ConfigurationError)
+    assert found == (
+        f"{tmp_path} exists already: name another output, or replace it with --replace (in Python,"
+        " replace=True)"
+    )
 
 
 def test_a_damaged_truth_says_what_to_do(tmp_path: Path) -> None:

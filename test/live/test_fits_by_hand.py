@@ -331,4 +331,7 @@ def test_a_negated_wrench_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(fit_worker.plausibility, "sign_note", lambda *given: "Fz is negated")
     with pytest.raises(IdentificationError) as found:
         fit_worker.fit_samples(samples(20), scene.geometry(), SETTINGS, None)
-    assert str(found.value) == "Fz is negated: nothing is fitted until it is right"
+    assert (
+        str(found.value)
+        == "Fz is negated: check the sign of the load cell; nothing is fitted before"
+    )

@@ -261,6 +261,25 @@ def test_a_silent_node_is_an_error(source: LiveSource, lab: Lab, clock: FakeCloc
     assert (sign, words) == (SQUARE, "silent for 4 s; it said: 4 clusters answer")
 
 
+def test_a_node_is_silent_beside_others_that_report(
+    source: LiveSource, lab: Lab, clock: FakeClock
+) -> None:
+    """For 20 s, after which others no longer count a participant; then it reports again."""
+    lab.say("/lab/cluster_node", 0, "4 clusters answer")
+    for _ in range(20):
+        lab.say("/lab/mocap_node", 0, "240 frames a second")
+        clock.sleep(1.0)
+    found = source.now(None)
+    assert [(sign, words) for sign, _, words, _ in found["sensors"]] == [
+        (SQUARE, "silent for 20 s; it said: 4 clusters answer"),
+        (CIRCLE, "240 frames a second"),
+    ]
+    (data,) = found["cards"]
+    assert data["words"] == "cluster: silent for 20 s; it said: 4 clusters answer"
+    lab.say("/lab/cluster_node", 0, "4 clusters answer")
+    assert source.now(None)["sensors"][0][0] == CIRCLE
+
+
 def test_a_restarted_node_s_rate_is_unknown(source: LiveSource, lab: Lab, clock: FakeClock) -> None:
     for count in (50, 100, 3):
         lab.say("/lab/cluster_node", 0, "", samples=count)

@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from support.nodes import Maker, running_ros
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.nodes import recorder_node
 from socket_testbed.nodes.recorder_node import RecorderNode
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.metadata import TrialMetadata, read_metadata
@@ -168,6 +170,30 @@ def test_a_trial_never_overwrites_another(
     assert node._next_path(name) == tmp_path / expected
 
 
+@pytest.mark.parametrize("place", ["check_take_name", "refuse_existing", "BagWriter.__enter__"])
+def test_a_folder_that_another_makes_first_stays(
+    place: str, make: Maker, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process makes it just after each of the recorder's steps."""
+    node = make(RecorderNode, directory=folder)
+    real = resolve_name(f"{recorder_node.__name__}:{place}")
+    theirs = folder / "walk" / "walk.mcap"
+
+    def followed(*given: Any) -> Any:
+        if place != "BagWriter.__enter__":
+            real(*given)
+        theirs.parent.mkdir(parents=True)
+        theirs.write_text("theirs")
+        return real(*given) if place == "BagWriter.__enter__" else None
+
+    monkeypatch.setattr(f"{recorder_node.__name__}.{place}", followed)
+    node.set_parameters([Parameter("next.name", value="walk")])
+    with pytest.raises(ConfigurationError) as found:
+        node._on_record(True)
+    assert str(found.value).startswith(f"{theirs.parent} exists already: ")
+    assert theirs.read_text() == "theirs" and node.figures()["trial"] == ""
+
+
 def test_a_nameless_trial_has_its_date_and_time(make: Maker, folder: Path) -> None:
     node = make(RecorderNode, directory=folder)
     assert node._next_path("").match("trial_2[0-9]*_[0-9]*")
@@ -189,8 +215,8 @@ GONE = "check that its disk is connected, and what dmesg says of it"
     ("number", "hint"),
     [
         (errno.ENOSPC, "make space"),
-        (errno.EFBIG, "its file system takes no larger file: use a disk with ext4 or exFAT"),
-        (errno.EROFS, "it is mounted read-only: check its file system for errors, and mount it"),
+        (errno.EFBIG, "use a disk with ext4 or exFAT, as its file system takes no larger file"),
+        (errno.EROFS, "check its file system for errors, and mount it again for writing"),
         (errno.EIO, GONE),
         (errno.ENODEV, GONE),
     ],

@@ -190,7 +190,9 @@ def test_a_cluster_s_fault_is_reported_while_recent(
     ("faults", "expected"),
     [
         pytest.param(
-            {"distal": ("no answer", "slow")}, "distal: no answer; distal: slow", id="two"
+            {"distal": ("no answer: check it", "slow: check it")},
+            "distal: no answer; distal: slow: check it",
+            id="two",
         ),
         pytest.param({"brim": ("gone",), "distal": ("gone",)}, "gone", id="bus"),
     ],
@@ -357,11 +359,11 @@ def test_the_load_cell_node_publishes_wrench_and_raw(
 def test_a_missing_wrench_is_counted_and_explained(
     weighing: load_cell_node.LoadCellNode, cell: Cell, make: Maker
 ) -> None:
-    cell.fault = "too few conversions"
+    words = "1 of 25 conversions around the trigger: relieve the computer if this happens often"
+    cell.fault = words
     weighing.measure(STAMP, time.monotonic())
     assert weighing.figures()["missing"] == 1 and make.sent["load_cell/raw"][-1].status == 2
     assert np.isnan(make.sent["load_cell/wrench"][-1].wrench.force.z)
-    words = "too few conversions: missing; relieve the computer if this happens often"
     assert weighing.health() == (WARN, words)
     cell.level = ERROR  # the converter's own fault comes first
     assert weighing.health() == (ERROR, "500 conversions a second")

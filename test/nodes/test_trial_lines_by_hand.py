@@ -1,5 +1,6 @@
 """Recorder and replay without a graph: each line that they say, whole."""
 
+import errno
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -90,11 +91,23 @@ def test_a_folder_has_one_recorder(
     )
 
 
+@pytest.mark.parametrize(
+    ("number", "hint"),
+    [
+        (errno.ENOSPC, "make space"),
+        (errno.EACCES, "check the permissions"),
+        (errno.EEXIST, "name another folder"),
+        (errno.ENOTDIR, "name another folder, a part of its path is a file"),
+        (errno.ENAMETOOLONG, "give a shorter name"),
+        (errno.EROFS, "check its file system for errors, and mount it again for writing"),
+    ],
+    ids=["full", "no-permission", "exists", "file-in-path", "long-name", "read-only"],
+)
 def test_a_trial_that_cannot_begin_leaves_nothing(
-    make: Maker, folder: Path, monkeypatch: pytest.MonkeyPatch
+    number: int, hint: str, make: Maker, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*given: Any) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     node = make(RecorderNode, directory=folder)
     node._on_record(True)
@@ -104,8 +117,7 @@ def test_a_trial_that_cannot_begin_leaves_nothing(
     with pytest.raises(ConfigurationError) as found:
         node._on_record(True)
     assert str(found.value) == (
-        f"{folder / 'b'}: cannot be written (No space left on device): check the folder and the"
-        " space"
+        f"{folder / 'b'}: cannot be written ({os.strerror(number)}): {hint}"
     )
     assert not (folder / "b").exists() and node._bag is None
 

@@ -270,6 +270,10 @@ def test_help_tells_default_range_and_choices() -> None:
     assert fields._explained(source).endswith("default 'gpio'; one of 'gpio', 'timer'")
     inputs = acquisition.LoadCellSettings.flat()["inputs"]
     assert fields._explained(inputs).endswith("; each from 0 to 7")
+    open_ended = fields.setting(2.0, "a length [m]", low=1.0)
+    assert fields._explained(open_ended) == "a length [m]; default 2.0; at least 1"
+    below = fields.setting((2.0,), "lengths [m]", high=3.0)
+    assert fields._explained(below) == "lengths [m]; default (2.0,); each at most 3"
     nested = fields._explained(acquisition.SchedulingSettings())
     assert nested == "nested settings, a `SchedulingSettings`"
 

@@ -27,6 +27,8 @@ estimator_node:
     force_map: {length: 0.05}
 """
 
+WITHOUT = "estimator_node: {ros__parameters: {identification: {leave_out: [Mz, distal.Fx]}}}"
+
 _USUAL: dict[tuple[str, ...], dict[str, Any]] = {}  # what arrives of calls, by folder and call
 
 
@@ -144,6 +146,7 @@ def write_files(folder: Path) -> None:
     scene.model(folder / "model.json")
     scene.model(folder / "other.json", "other")
     (folder / "params.yaml").write_text(PARAMETERS)
+    (folder / "without.yaml").write_text(WITHOUT)
 
 
 def call_verb(stage: Stage, *words: str) -> dict[str, Any]:

@@ -3,9 +3,15 @@
 Four parts hold two triggers each, at 0 and 1 s, 2 and 3 s, 4 and 5 s, 6 and 7 s.
 """
 
+import bz2
+import gzip
+import lzma
 import shutil
 import sqlite3
+import tarfile
+import zipfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +26,7 @@ from support.wording import refused
 from socket_testbed.documents import dump_yaml, load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, find_trials
-from socket_testbed.trials.bag_parts import missing_numbers, span_in_words
+from socket_testbed.trials.bag_parts import is_bag, missing_numbers, span_in_words
 from socket_testbed.wire import messages, topics
 
 START = scene.START
@@ -295,6 +301,131 @@ def test_a_truncated_compressed_part_gives_its_blocks(tmp_path: Path) -> None:
     times, notes = read(folder)
     assert times == ALL[: len(times)] and 0 < len(times) < 8
     assert notes[0].startswith("the recording a.mcap.zst was cut short")
+
+
+# --- in archives, or known by their content alone
+
+
+def packed_by(suffix: str, file: Path) -> Path:
+    """An archive beside a file, which goes."""
+    archive = file.with_name(file.name + suffix)
+    match suffix:
+        case ".gz":
+            archive.write_bytes(gzip.compress(file.read_bytes()))
+        case ".xz":
+            archive.write_bytes(lzma.compress(file.read_bytes()))
+        case ".bz2":
+            archive.write_bytes(bz2.compress(file.read_bytes()))
+        case ".zip":
+            with zipfile.ZipFile(archive, "w") as new:
+                new.write(file, file.name)
+        case ".tar":
+            with tarfile.open(archive, "w") as new_tar:
+                new_tar.add(file, file.name)
+        case ".tar.zst":
+            plain = packed_by(".tar", file)
+            archive.write_bytes(zstd.compress(plain.read_bytes()))
+            plain.unlink()
+    file.unlink(missing_ok=True)
+    return archive
+
+
+ARCHIVES = {
+    ".gz": "is compressed with gzip: unpack it with 'gunzip'",
+    ".xz": "is compressed with xz: unpack it with 'unxz'",
+    ".bz2": "is compressed with bzip2: unpack it with 'bunzip2'",
+    ".zip": "is a ZIP archive: unpack it",
+    ".tar": "is a tar archive: unpack it with 'tar -xf'",
+}
+
+
+@pytest.mark.parametrize("suffix", ARCHIVES)
+@pytest.mark.parametrize("described", [True, False], ids=["metadata", "alone"])
+def test_a_recording_in_an_archive_is_named(suffix: str, described: bool, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a", 0.0)
+    archive = packed_by(suffix, tmp_path / "a" / "a.mcap")
+    line = f"{archive}: {ARCHIVES[suffix]}"
+    if described:
+        line = f"{tmp_path}/a/a.mcap: is not there, but a.mcap{suffix}, which {ARCHIVES[suffix]}"
+    else:
+        (tmp_path / "a" / "metadata.yaml").unlink()
+    for path, expected in ((tmp_path / "a", line), (archive, f"{archive}: {ARCHIVES[suffix]}")):
+        with pytest.raises(TrialError) as found:
+            read(path)
+        assert str(found.value) == expected
+
+
+def test_an_archive_that_is_compressed_is_named(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a", 0.0)
+    archive = packed_by(".tar.zst", tmp_path / "a" / "a.mcap")
+    with refused(TrialError, f"{archive}: is a tar archive once it is unpacked: unpack it with"):
+        read(archive)
+
+
+def test_a_part_in_an_archive_costs_itself_alone(bag: Path) -> None:
+    packed_by(".gz", bag / "bag_1.mcap")
+    times, (note, _) = read(bag)
+    assert times == [0.0, 1.0, *ALL[4:]]
+    assert note == (
+        "bag_1.mcap is not there, but bag_1.mcap.gz, which is compressed with gzip; missing: 2.00 s"
+        " to 3.00 s of the trial, 2 messages (unpack it with 'gunzip')"
+    )
+
+
+def test_trials_in_archives_are_left_out_by_name(tmp_path: Path) -> None:
+    for name in ("hold", "walk"):
+        write_mcap(tmp_path / name, 0.0)
+    packed_by(".zip", tmp_path / "walk" / "walk.mcap")
+    (tmp_path / "walk" / "metadata.yaml").unlink()
+    (tmp_path / "figures.zip").touch()
+    notes: list[str] = []
+    assert [*find_trials(tmp_path, notes.append)] == ["hold"]
+    assert notes == ["walk/walk.mcap.zip is left out: it is a ZIP archive: unpack it"]
+
+
+@pytest.mark.parametrize("packed", [False, True], ids=["plain", "zstd"])
+@pytest.mark.parametrize(
+    ("write", "suffix"), [(write_mcap, ".mcap"), (write_sqlite, ".db3")], ids=["mcap", "sqlite"]
+)
+def test_a_recording_of_another_name_is_a_bag(
+    write: Callable[..., bytes], suffix: str, packed: bool, tmp_path: Path
+) -> None:
+    content = write(tmp_path / "a", 0.0, 1.0)
+    for file in (tmp_path / "a").iterdir():
+        file.unlink()
+    (tmp_path / "a" / "walk.dat").write_bytes(zstd.compress(content) if packed else content)
+    assert is_bag(tmp_path / "a") and [*find_trials(tmp_path)] == ["a"]
+    assert read(tmp_path / "a")[0] == [0.0, 1.0]
+
+
+def test_a_renamed_compressed_part_is_read(bag: Path) -> None:
+    file = bag / "bag_2.mcap"
+    (bag / "the rest").write_bytes(zstd.compress(file.read_bytes()))
+    file.unlink()
+    assert read(bag)[0] == ALL
+
+
+def test_files_of_others_make_no_bag(tmp_path: Path) -> None:
+    """A data set's metadata.yaml and another program's database beside trials."""
+    write_mcap(tmp_path / "study" / "hold", 0.0)
+    study = tmp_path / "study"
+    (study / "metadata.yaml").write_text("title: gait\nlicence: CC-BY\n")
+    with closing(sqlite3.connect(study / "lab.sqlite")) as base:
+        base.execute("CREATE TABLE subjects (name TEXT)")
+        base.commit()
+    (study / "pages.zst").write_bytes(zstd.compress(b"hello"))
+    assert not is_bag(study) and [*find_trials(study)] == ["hold"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"rosbag2_bagfile_information: {", b"\xff\xfe", POINTER, b"rosbag2"],
+    ids=["empty", "torn", "binary", "pointer", "word"],
+)
+def test_unreadable_metadata_may_be_a_bag_s(content: bytes, tmp_path: Path) -> None:
+    """So that a trial whose files are lost is reported."""
+    (tmp_path / "metadata.yaml").write_bytes(content)
+    assert is_bag(tmp_path)
 
 
 def test_pointers_alone_are_refused_by_name(bag: Path) -> None:

@@ -9,7 +9,7 @@ from support.wording import refused
 
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
-from socket_testbed.trials import bag
+from socket_testbed.trials import bag, bag_parts
 from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.trial import Trial, read_configuration, store_configuration
 from socket_testbed.wire import cdr, messages, topics
@@ -176,7 +176,7 @@ def test_trials_are_found_below_a_folder(tmp_path: Path) -> None:
     ],
 )
 def test_storage_is_known_by_its_suffix(name: str, is_storage: bool) -> None:
-    assert bag.is_storage(Path(name)) is is_storage
+    assert bag_parts.is_storage(Path(name)) is is_storage
 
 
 # --- a trial's files

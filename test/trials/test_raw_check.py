@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.bags import copying
 
 import socket_testbed as st
@@ -300,3 +301,47 @@ def test_a_left_out_cluster_is_not_reported(simulated, tmp_path: Path) -> None:
 def test_the_check_is_the_same_everywhere(simulated, tmp_path: Path) -> None:
     write_simulated_trial(of_cluster("distal", frozen(2))(simulated), tmp_path / "trial")
     assert st.check_data(tmp_path / "trial") == Trial(tmp_path / "trial").problems()
+
+
+# --- quaternions
+
+
+def quaternions(places: list[int], sign: float = 1.0) -> Callable[[np.ndarray], np.ndarray]:
+    """Poses whose quaternions have x, y, z and w from these places, the first three by a sign."""
+
+    def change(poses: np.ndarray) -> np.ndarray:
+        poses[:, 3:] = poses[:, 3:][:, places] * [sign, sign, sign, 1.0]
+        return poses
+
+    return change
+
+
+QUATERNIONS = {
+    "w first": (quaternions([3, 0, 1, 2]), "written as (w, x, y, z)"),
+    "w first, read as last": (quaternions([1, 2, 3, 0]), "written as (y, z, w, x)"),
+    "inverted": (quaternions([0, 1, 2, 3], -1.0), "those of the world in the body"),
+}
+
+
+@pytest.mark.parametrize("case", QUATERNIONS)
+@pytest.mark.parametrize("body", ["socket", "pylon"])
+def test_another_quaternion_is_named_with_its_order(
+    body: str, case: str, simulated: SimulatedTrial, tmp_path: Path
+) -> None:
+    """And nothing else is judged by the pose."""
+    change, how = QUATERNIONS[case]
+    fact = f"the {body} turns as its markers do if its quaternions are {how}"
+    assert written(of_body(body, change)(simulated), tmp_path) == [("the limb pose", fact)]
+
+
+def test_a_quaternion_of_other_axes_is_left_to_others() -> None:
+    """A body that is turned by 0.5 rad against its markers is none of these."""
+    turns = Rotation.from_rotvec(np.linspace(0.0, 0.4, 12)[:, None] * [0.5, 1.0, -0.3] + 0.3)
+    other = turns * Rotation.from_rotvec([0.0, 0.0, 0.5])
+    shown = Pose(turns.as_matrix(), np.zeros((12, 3)))
+    assert raw_check._other_quaternion(other.as_quat(), shown) == ""
+    assert raw_check._other_quaternion(turns.as_quat(), shown) == ""
+    first = turns.as_quat()[:, [3, 0, 1, 2]]
+    assert raw_check._other_quaternion(first, shown) == "written as (w, x, y, z)"
+    few = Pose(turns.as_matrix()[:9], np.zeros((9, 3)))
+    assert raw_check._other_quaternion(first[:9], few) == ""

@@ -1,6 +1,7 @@
 """Messages and stamps as a trial reads them, and its pressure outputs as text, by hand."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from socket_testbed.identification.suspension import Suspension
 from socket_testbed.results import pressure, pressure_text
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import synchronise
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.trial import Trial, _fingerprint
 from socket_testbed.wire import cdr, messages, topics
 from socket_testbed.wire.messages import Reader
 
@@ -326,3 +327,16 @@ def test_a_fingerprint_is_of_the_first_half_minute(tmp_path: Path) -> None:
     folder = scene.write(tmp_path / "scene")
     first = Trial(folder)
     assert len(first.fingerprint) == 16 and first.fingerprint == Trial(folder).fingerprint
+
+
+def test_a_fingerprint_ends_at_half_a_minute() -> None:
+    """A reading at 30 s counts, one at 30.25 s does not."""
+
+    def at(*times: float, changed: float = -1.0) -> str:
+        readings = [[2.0 + (time == changed)] * 4 for time in times]
+        measured: Any = SimpleNamespace(time=np.array(times), capacitance=np.array(readings))
+        return _fingerprint(measured)
+
+    whole = at(0.0, 30.0, 30.25)
+    assert at(0.0, 30.0) == at(0.0, 30.0, 30.25, changed=30.25) == whole
+    assert at(0.0) != whole and at(0.0, 30.0, 30.25, changed=30.0) != whole

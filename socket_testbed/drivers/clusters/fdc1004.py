@@ -59,7 +59,7 @@ class Fdc1004:
             if value != expected:
                 raise DeviceError(
                     f"{self.where} says {what} 0x{value:04X}, not 0x{expected:04X}",
-                    "check the address and the wiring: this is not an FDC1004",
+                    "check the address and the wiring, this is not an FDC1004",
                 )
 
     def reset_and_configure(self) -> None:

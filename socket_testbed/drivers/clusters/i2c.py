@@ -215,7 +215,7 @@ class I2cPort:
             kind, fact = BusGoneError, f"the bus is gone at {self.where} ({said})"
             hint = f"check the adapter of {self._bus_name}; it will be reopened automatically"
         elif error.errno in {errno.EOPNOTSUPP, errno.EINVAL}:
-            hint = f"the adapter of {self._bus_name} lacks such transfers: use another one"
+            hint = f"the adapter of {self._bus_name} lacks such transfers, use another one"
         return kind(fact, hint, self._address)
 
 

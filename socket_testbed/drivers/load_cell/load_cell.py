@@ -36,6 +36,8 @@ _LENGTHS = {  # settings that are lists: length and hint
 _MAX_CONDITION = 1e6  # [-]; of the maker's matrix with normalised rows
 
 _MOMENTS_FIRST = [3, 4, 5, 0, 1, 2]  # from the maker's Fx Fy Fz Mx My Mz
+_CLIPPED_HINT = "unload the cell, or lower the gain"
+_FEW_HINT = "relieve the computer if this happens often"
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # fraction of the window after the trigger
 # Variance of a line's value at the trigger relative to that of the mean, 1 + 12 d^2 with d windows
@@ -303,8 +305,8 @@ class WrenchReading:
         tared: Time of the tare since the epoch [ns]; 0 if never tared.
         status: OK, SATURATED (a bridge is at its rail) or MISSING (too few conversions).
         conversions: Number of conversions around the time.
-        fault: Why there is no wrench, or which axis is overloaded, in one line; empty for none. An
-            overload does not invalidate the wrench.
+        fault: Why there is no wrench, or which axis is overloaded, in one line of fact and hint;
+            empty for none. An overload does not invalidate the wrench.
     """
 
     wrench: FloatArray
@@ -392,11 +394,11 @@ class LoadCell:
         uncertain = weights @ weights > _MAX_VARIANCE * _LINE_VARIANCE / expected
         value, status, fault = np.full(6, np.nan), Status.MISSING, ""
         if rails.any():
-            status, fault = Status.SATURATED, self._saturated(rails)
+            status, fault = Status.SATURATED, f"{self._saturated(rails)}: {_CLIPPED_HINT}"
         elif count < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{count} of {expected:.0f} conversions around the trigger"
             _, cause = self.converter.fault_at(clocks.monotonic())
-            fault = f"{fault}; {cause}" if cause else fault
+            fault = f"{fault}; {cause}" if cause else f"{fault}: {_FEW_HINT}"
         else:
             value, status = weights @ ratios, Status.OK
         offsets, tared = self._tare.no_load
@@ -418,7 +420,7 @@ class LoadCell:
             found.append((ERROR, f"{fact}: a broken wire? check the bridge and its wiring"))
         elif rails.any():
             fact = self._saturated(rails)
-            found.append((WARN, f"{fact} at times: unload the cell, or lower the gain"))
+            found.append((WARN, f"{fact} at times: {_CLIPPED_HINT}"))
         valid = ratios[~rails.any(axis=1)]
         wrenches = self._bridges.wrenches(valid - self._tare.no_load[0])
         found.append(self._bridges.overload(np.abs(wrenches).max(axis=0, initial=0.0)))

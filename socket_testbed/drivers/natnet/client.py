@@ -19,7 +19,7 @@ from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.drivers.natnet import connection, messages
 from socket_testbed.drivers.natnet.bodies import BodyWatch
 from socket_testbed.drivers.natnet.clock import EchoClock
-from socket_testbed.errors import DeviceError
+from socket_testbed.errors import DeviceError, joined
 from socket_testbed.settings.acquisition import MocapSettings
 
 _RECEIVE_TIMEOUT = 0.01  # [s]
@@ -237,7 +237,7 @@ class NatNetClient:
             doubts.append(f"{self.server} has not sent its rigid bodies yet")
         elif wrong := self._bodies.warning(now):
             doubts.append(wrong)
-        return "; ".join(doubts)
+        return joined(doubts)
 
     def _why_no_server(self) -> str:
         if self._network:
