@@ -443,12 +443,27 @@ class _Courses:
 
     @cached_property
     def exchanged(self) -> tuple[int, ...]:
-        """Columns of two clusters that fit each other's tiles; empty if all fit their own."""
+        """Columns of clusters, each of which fits the tile of the next; empty if all fit their own.
+
+        A late cluster may fit another's tile, too: what fits better counts.
+        """
         if self.motion is None or self.wrong_axes or self.pose_lag:
             return ()
-        first, second, gain = self.motion.exchanged()
+        columns, gain = self.motion.exchanged()
         least = MIN_EXCHANGE_GAIN[0 if self.is_pushed else 1]
-        return (first, second) if gain > least else ()
+        return columns if gain > max(least, *map(self._gain_by_delay, columns)) else ()
+
+    def _gain_by_delay(self, column: int) -> float:
+        """How much better a cluster fits its tile with a delay: the fall of log(1 - r^2) / 2 [-].
+
+        It is 0 where delays are not searched for.
+        """
+        if self.motion is None or not (self.is_pushed and self.is_regular):
+            return 0.0
+        tile, own = self.motion.indentation[:, column], self.motion.pressing[:, column]
+        _, fit, at_once = _best_lag(tile, own, usual_period(self.motion.time))
+        at_once_misfit, late_misfit = misfit_of(np.array([at_once, fit]))
+        return float(at_once_misfit - late_misfit)
 
     @cached_property
     def is_pushed(self) -> bool:
@@ -577,12 +592,15 @@ def _horizontal_axes(courses: _Courses) -> Iterator[DataFinding]:
 
 
 def _exchanged_clusters(courses: _Courses) -> Iterator[DataFinding]:
-    """Two clusters, each of which follows the motion of the limb at the other's tile."""
-    if courses.exchanged:
-        first, second = (courses.samples.clusters[column] for column in courses.exchanged)
+    """Clusters, each of which follows the motion of the limb at another one's tile."""
+    names = [courses.samples.clusters[column] for column in courses.exchanged]
+    if names:
+        other = "the other's tile"
+        if len(names) > 2:
+            other = "the next one's tile, and the last as the first one's"
         yield DataFinding(
-            f"{first} and {second}",
-            "each is pressed as the limb's motion presses the other's tile",
+            f"{', '.join(names[:-1])} and {names[-1]}",
+            f"each is pressed as the limb's motion presses {other}",
             "check whether their cables or names are exchanged, and their tiles in socket.yaml",
         )
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.pose import about_z
@@ -40,6 +41,7 @@ OPPOSITE = {  # what the other of two vectors has, if the first one has the axes
     **{name: name for name in AXES},
     **{f"turned by {a} degrees": f"turned by {-a} degrees" for a in _TURNS if a != 180},
 }
+_CIRCLE_GAIN = 0.4  # [-]; in fit, by three or more exchanged clusters over the best two
 LEAST_MOTION = 30  # samples with a pose, a wrench and all clusters
 _ROUNDING = 1e-9  # [-]; relative to the largest value of a course
 _CERTAIN = 0.999  # [-]; largest correlation, so that a perfect one stays finite
@@ -102,20 +104,27 @@ class LimbMotion:
         found = self._follows(shift, rotation)
         return float(misfit_of(np.diag(found)).mean())
 
-    def exchanged(self) -> tuple[int, int, float]:
-        """The two clusters whose forces fit each other's tiles best, if they were exchanged.
+    def exchanged(self) -> tuple[tuple[int, ...], float]:
+        """The clusters whose forces fit each other's tiles best, if they were exchanged.
 
         Returns:
-            Their columns, and the gain in fit: the fall of log(1 - r^2) / 2, summed over both [-];
-            negative if each fits its own tile better. At least two clusters are needed.
+            The columns of two clusters, or of several in a circle, each of which fits the tile of
+            the next one and the last that of the first; and the gain in fit: the fall of
+            log(1 - r^2) / 2, summed over them [-], negative if each fits its own tile better. At
+            least two clusters are needed.
         """
         misfit = misfit_of(self._follows(self.shift, self.rotation))
         gains = {
             (i, j): float(misfit[i, i] + misfit[j, j] - misfit[i, j] - misfit[j, i])
             for i, j in combinations(range(len(misfit)), 2)
         }
-        first, second = max(gains, key=lambda pair: gains[pair])
-        return first, second, gains[first, second]
+        pair = max(gains, key=lambda pair: gains[pair])
+        for circle in _circles(linear_sum_assignment(misfit)[1].tolist()):
+            following = [*circle[1:], circle[0]]
+            gain = float(misfit[circle, circle].sum() - misfit[circle, following].sum())
+            if len(circle) > len(pair) and gain > gains[pair] + _CIRCLE_GAIN:
+                return tuple(circle), gain
+        return pair, gains[pair]
 
     def _follows(self, shift: FloatArray, rotation: FloatArray) -> FloatArray:
         """Correlation of each cluster's force with the indentation of each one's tile, (c, c)."""
@@ -170,6 +179,22 @@ def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None
         arms=np.cross(geometry.anchors[tiles] - centre, outward),
         outward=outward,
     )
+
+
+def _circles(places: list[int]) -> list[list[int]]:
+    """The circles of a permutation with more than one member, the longest first.
+
+    Args:
+        places: The place of each of the members 0 to n - 1.
+    """
+    left, found = {*range(len(places))}, []
+    while left:
+        circle = [min(left)]
+        while places[circle[-1]] != circle[0]:
+            circle.append(places[circle[-1]])
+        left -= {*circle}
+        found.append(circle)
+    return sorted((each for each in found if len(each) > 1), key=len, reverse=True)
 
 
 def _left_of(courses: FloatArray, causes: FloatArray) -> FloatArray:
