@@ -241,7 +241,12 @@ class MotionMemory:
 
 
 def square_distances(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Squared distances of points, shape (N, M), from points of shapes (N, d) and (M, d) [-]."""
+    """Squared distances between the points of two sets, shape (N, M) [-].
+
+    Args:
+        one: N points, shape (N, d) [-].
+        other: M points, shape (M, d) [-].
+    """
     found = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2.0 * (one @ other.T)
     return np.asarray(np.maximum(found, 0.0))
 
