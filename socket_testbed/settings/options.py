@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -417,6 +417,64 @@ class SimulationOptions(Options):
     replace: bool = option(
         False, "replace an older simulated trial in that folder, and nothing else"
     )
+
+
+WrenchOf = Literal["limb", "socket"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(Options):
+    """Options of `st.import_trial`."""
+
+    wrench: str | None = option(
+        None, "topic of the load cell's wrench, or none (default: found by its type)",
+        metavar="TOPIC",
+    )  # fmt: skip
+    socket_pose: str | None = option(
+        None,
+        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, or none"
+        " (default: found by type and name)",
+        metavar="TOPIC",
+    )
+    pylon_pose: str | None = option(
+        None,
+        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, or none"
+        " (default: found by type and name)",
+        metavar="TOPIC",
+    )
+    clusters: str | None = option(
+        None,
+        "topic of the clusters' capacitances or stresses, or none (default: found by type and"
+        " name)",
+        metavar="TOPIC",
+    )
+    names: Sequence[str] = several(
+        "clusters of an array without names, in its order, four capacitances each"
+    )
+    rate: float | None = option(
+        None,
+        "rate of triggers over the time that all sources share [Hz] (default:"
+        f" {TriggerSettings.rate:g}, unless a trigger is given)",
+        either="triggers",
+    )
+    trigger: str | None = option(
+        None, "topic whose stamps are the triggers", metavar="TOPIC", either="triggers"
+    )
+    delay: Iterable[str] = several(
+        "delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the measurement"
+        " [s]",
+        metavar="SOURCE=S",
+    )
+    wrench_of: WrenchOf | None = option(
+        None,
+        "whose force the wrench is: of the limb on the socket, as in a trial, or of the socket on"
+        " the limb, which is negated (default: limb)",
+    )
+    mapping: Path | None = option(
+        None, "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}"
+    )
+    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
+    calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")
 
 
 # The socket and its calibration.

@@ -1,0 +1,333 @@
+"""Trials from other laboratories' sensors."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+import numpy as np
+
+from socket_testbed.alignment.align import Aligned, align
+from socket_testbed.alignment.series import ClusterSeries
+from socket_testbed.alignment.triggers import triggers_at
+from socket_testbed.api.trials import as_path, open_trial
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period
+from socket_testbed.calibration.model import Calibration, read_calibration
+from socket_testbed.documents import check_number, path_of, read_document
+from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, file_or_packaged
+from socket_testbed.geometry.regions import proximal_direction
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.results.result import PathLike
+from socket_testbed.samples import Status
+from socket_testbed.settings.acquisition import TriggerSettings, averaging_span
+from socket_testbed.settings.alignment import MAX_DELAY
+from socket_testbed.settings.options import WrenchOf
+from socket_testbed.trials import foreign, imported
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.trial import Trial, read_configuration
+
+_CLEAR_LOAD = 50.0  # [N]; above which the load shows the sign of the wrench
+
+
+def import_trial(
+    bag: PathLike,
+    path: PathLike,
+    *,
+    wrench: str | None = None,
+    socket_pose: str | None = None,
+    pylon_pose: str | None = None,
+    clusters: str | None = None,
+    names: Sequence[str] = (),
+    rate: float | None = None,
+    trigger: str | None = None,
+    delay: Iterable[str] | Mapping[str, float] = (),
+    wrench_of: WrenchOf | None = None,
+    mapping: PathLike | None = None,
+    geometry: PathLike | None = None,
+    calibration: PathLike | None = None,
+    notify: Callable[[str], None] | None = None,
+) -> Trial:
+    """Make a trial from a bag of other sensors' topics; the bag stays as it is.
+
+    The values at each trigger come from the readings in a window around it, see
+    `socket_testbed.alignment`. The trial also holds the messages that were read, and `import.yaml`,
+    which states topics, delays and windows.
+
+    Args:
+        bag: Folder or storage file of the bag.
+        path: Folder of the new trial.
+        wrench: Topic of the load cell's wrench, or none (default: found by its type).
+        socket_pose: Topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform,
+            or none (default: found by type and name).
+        pylon_pose: Topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform,
+            or none (default: found by type and name).
+        clusters: Topic of the clusters' capacitances or stresses, or none (default: found by type
+            and name).
+        names: Clusters of an array without names, in its order, four capacitances each.
+        rate: Rate of triggers over the time that all sources share [Hz] (default: 4, unless a
+            trigger is given).
+        trigger: Topic whose stamps are the triggers.
+        delay: Delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the
+            measurement [s].
+        wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
+            socket on the limb, which is negated (default: limb).
+        mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
+        geometry: A socket.yaml (default: the package's own).
+        calibration: A calibration.yaml (default: the package's own).
+        notify: Called with each note, such as the topics used and what is missing; None issues
+            warnings.
+
+    Returns:
+        The new trial, opened as by `st.open_trial`.
+
+    Raises:
+        TrialError: The bag cannot be read, a topic is not there or of another type, several topics
+            suit, or the sources share no time.
+        ConfigurationError: An option or a file is wrong, or the folder exists.
+    """
+    notify = warnings.warn if notify is None else notify
+    source, output = path_of(bag, "the bag"), path_of(path, "the folder of the trial")
+    check_new_folder(output)
+    given = {
+        "wrench": wrench,
+        "socket_pose": socket_pose,
+        "pylon_pose": pylon_pose,
+        "clusters": clusters,
+    }
+    chosen = _mapping(as_path(mapping), given, _delays(delay), names, wrench_of)
+    chosen = _with_triggers(chosen, rate, trigger)
+    files = as_path(geometry), as_path(calibration)
+    configuration = read_configuration(*files)
+    socket = read_socket(file_or_packaged(files[0], SOCKET_FILE))
+    coefficients = read_calibration(file_or_packaged(files[1], CALIBRATION_FILE))
+    with BagReader(source) as reader:
+        for note in reader.notes:
+            notify(note)
+        stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
+        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
+        if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
+            known = [name for name, count in reader.counts.items() if count]
+            fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
+            raise TrialError(fact, closest(chosen.trigger, known))
+        received = foreign.read_messages(reader, found, chosen.trigger)
+    for name in foreign.SOURCES:
+        if name not in found:
+            notify(foreign.LACKING[name])
+    sources = {
+        name: foreign.read_source(name, at, received, chosen.clusters.names)
+        for name, at in found.items()
+    }
+    for name, own in sources.items():
+        notify(_in_words(name, own))
+        for note in own.notes:
+            notify(note)
+    triggers = _triggers(chosen, sources, received)
+    period = 1e-9 * usual_period(triggers) if len(triggers) > 1 else 0.0
+    aligned = {
+        name: align(own.series, triggers, getattr(chosen, name).settings, period)
+        for name, own in sources.items()
+    }
+    _refuse_nothing(aligned, sources, triggers)
+    record: dict[str, Any] = {"bag": source.name, "triggers": _trigger_record(chosen, triggers)}
+    for name, own in aligned.items():
+        settings = getattr(chosen, name).settings
+        window = averaging_span(settings.window, period)
+        record[name] = {
+            "topic": sources[name].topic,
+            "type": sources[name].type,
+            **imported.described(own, settings, window),
+        }
+    record["notes"] = [note for own in sources.values() for note in own.notes]
+    if "wrench" in aligned:
+        values = imported.in_load_cell(aligned["wrench"].values, chosen.wrench)
+        aligned["wrench"] = _replaced(aligned["wrench"], values)
+        record["wrench"]["of"] = chosen.wrench.of
+        if chosen.wrench.pose is not None:
+            record["wrench"]["pose"] = msgspec.to_builtins(chosen.wrench.pose)
+        if doubt := _sign_doubt(values, socket, chosen.wrench.of):
+            notify(doubt)
+    cluster_values = _cluster_values(sources, aligned, coefficients, triggers, notify)
+    originals = (message for each in received.values() for message in each)
+    imported.write_imported_trial(
+        output, triggers, aligned, cluster_values, [*originals], configuration, record
+    )
+    return open_trial(output, notify=notify)
+
+
+def _mapping(
+    file: Path | None,
+    given: Mapping[str, str | None],
+    delays: Mapping[str, float],
+    names: Sequence[str],
+    wrench_of: WrenchOf | None,
+) -> imported.SourceMapping:
+    """The mapping of a file, with what the options state."""
+    chosen = (
+        imported.SourceMapping() if file is None else read_document(file, imported.SourceMapping)
+    )
+    for name in foreign.SOURCES:
+        changes: dict[str, Any] = {}
+        if given[name] is not None:
+            changes["topic"] = given[name]
+        if name in delays:
+            changes["delay"] = delays[name]
+        if name == "clusters" and names:
+            changes["names"] = tuple(names)
+        if name == "wrench" and wrench_of is not None:
+            known = get_args(WrenchOf)
+            if wrench_of not in known:
+                raise ConfigurationError(f"wrench_of is '{wrench_of}'", closest(wrench_of, known))
+            changes["of"] = wrench_of
+        own = msgspec.structs.replace(getattr(chosen, name), **changes)
+        own.settings  # noqa: B018  (refuses a method or window that is wrong)
+        chosen = msgspec.structs.replace(chosen, **{name: own})
+    return chosen
+
+
+def _with_triggers(
+    chosen: imported.SourceMapping, rate: float | None, trigger: str | None
+) -> imported.SourceMapping:
+    """The mapping with the triggers of the options, which replace those of the file."""
+    if rate is not None and trigger is not None:
+        raise ConfigurationError("rate and trigger are both given", "give one of them")
+    if rate is not None:
+        check_number(rate, "--rate", 0.1, 1000.0)
+        return msgspec.structs.replace(chosen, rate=rate, trigger=None)
+    if trigger is not None:
+        return msgspec.structs.replace(chosen, rate=None, trigger=trigger)
+    if chosen.rate is not None and chosen.trigger is not None:
+        raise ConfigurationError("the mapping has both rate and trigger", "give one of them")
+    if chosen.rate is None and chosen.trigger is None:
+        return msgspec.structs.replace(chosen, rate=TriggerSettings.rate)
+    return chosen
+
+
+def _delays(given: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
+    """Delays [s] by source, of texts such as `wrench=0.02` or a mapping."""
+    hint = "give a source and seconds, such as wrench=0.02"
+    pairs: list[tuple[str, Any]]
+    if isinstance(given, Mapping):
+        pairs = [*given.items()]
+    else:
+        texts = [given] if isinstance(given, str) else [*given]
+        if wrong := [text for text in texts if "=" not in str(text)]:
+            raise ConfigurationError(f"delay is '{wrong[0]}'", hint)
+        pairs = [(name.strip(), value) for name, _, value in (t.partition("=") for t in texts)]
+    found = {}
+    for name, value in pairs:
+        if name not in foreign.SOURCES:
+            raise ConfigurationError(f"delay names '{name}'", closest(name, foreign.SOURCES))
+        try:
+            seconds = float(value)
+        except (TypeError, ValueError):
+            raise ConfigurationError(f"the delay of {name} is '{value}'", hint) from None
+        found[name] = check_number(seconds, f"the delay of {name}", -MAX_DELAY, MAX_DELAY)
+    return found
+
+
+def _in_words(name: str, own: foreign.ForeignSource) -> str:
+    times = own.series.times
+    rate = f" at {1e9 * (len(times) - 1) / np.ptp(times):.3g} Hz" if len(times) > 1 else ""
+    frame = getattr(own.series, "frame", "")
+    return (
+        f"{foreign.in_words(name)}: {own.topic} ({own.type}, {len(times)} readings{rate}"
+        f"{f', frame {frame}' if frame else ''})"
+    )
+
+
+def _triggers(
+    chosen: imported.SourceMapping,
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    received: Mapping[str, Sequence[Any]],
+) -> IntArray:
+    """Times of the triggers, shape (N,) [ns]."""
+    if chosen.trigger is not None:
+        triggers = foreign.read_stamps(received.get(chosen.trigger, ()))
+        if not len(triggers):
+            raise TrialError(f"{chosen.trigger}: no message can be decoded", "give --rate instead")
+        return triggers
+    assert chosen.rate is not None
+    delays = {f"the {foreign.in_words(n)}": getattr(chosen, n).delay for n in sources}
+    series = {f"the {foreign.in_words(name)}": own.series for name, own in sources.items()}
+    return triggers_at(chosen.rate, series, delays)
+
+
+def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[str, Any]:
+    if chosen.trigger is not None:
+        return {"topic": chosen.trigger, "number": len(triggers)}
+    return {"rate": chosen.rate, "number": len(triggers)}
+
+
+def _refuse_nothing(
+    aligned: Mapping[foreign.Source, Aligned],
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    triggers: IntArray,
+) -> None:
+    """Refuse a source that has a value at no trigger."""
+    for name, own in aligned.items():
+        if (own.status != Status.OK).all():
+            times = sources[name].series.times
+            start, end = (times[[0, -1]] - triggers[0]) * 1e-9
+            raise TrialError(
+                f"{sources[name].topic}: no trigger has readings of the {foreign.in_words(name)}"
+                f" around it (they last from {start:.3g} to {end:.3g} s after the first trigger)",
+                "check its clock and delay, or set its stale in a mapping.yaml",
+            )
+
+
+def _replaced(aligned: Aligned, values: FloatArray) -> Aligned:
+    return Aligned(
+        values, aligned.status, aligned.count, aligned.age, aligned.spread, aligned.deviation
+    )
+
+
+def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str:
+    """A note if the largest loads pull the limb out of the socket; empty if they push it in."""
+    along = values[:, 3:] @ proximal_direction(socket)
+    along = along[np.isfinite(along)]
+    if not len(along) or np.abs(along).max() < _CLEAR_LOAD:
+        return ""
+    heavy = along[np.abs(along) > 0.5 * np.abs(along).max()]
+    if np.median(heavy) < 0.0:
+        return ""
+    other = "socket" if of == "limb" else "limb"
+    return (
+        f"the load pulls the limb out of the socket ({np.median(heavy):+.0f} N towards the brim):"
+        f" if it is a person's, give --wrench-of {other}, or state the pose of the load cell"
+    )
+
+
+def _cluster_values(
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    aligned: Mapping[foreign.Source, Aligned],
+    calibration: Calibration,
+    triggers: IntArray,
+    notify: Callable[[str], None],
+) -> tuple[Sequence[str], FloatArray, StatusArray]:
+    """Names of the clusters, capacitances (N, C, 4) [pF], and their statuses."""
+    if "clusters" not in sources:
+        nothing = np.empty((len(triggers), 0, 4))
+        return (), nothing, nothing.astype(np.uint8)
+    series = sources["clusters"].series
+    assert isinstance(series, ClusterSeries)
+    values = aligned["clusters"].values
+    calibration.require(series.clusters, f"the topic {sources['clusters'].topic}")
+    if series.are_stresses:
+        from socket_testbed.simulation.sensors import invert_calibration
+
+        stress, shape = values, (*values.shape[:2], 4)
+        values = np.full(shape, np.nan)
+        for column, name in enumerate(series.clusters):
+            known = np.isfinite(stress[:, column]).all(axis=1)
+            own = calibration.clusters[name]
+            values[known, column] = invert_calibration(own, stress[known, column])
+        notify(
+            "the stresses are stored as the capacitances that the calibration turns back into them:"
+            " do not replace it"
+        )
+    status = np.where(np.isfinite(values), Status.OK, Status.MISSING).astype(np.uint8)
+    return series.clusters, values, status
