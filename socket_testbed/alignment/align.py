@@ -108,8 +108,9 @@ def align(
             deviation[place] = _deviations(chosen, readings[..., :3] if is_pose else readings)
     if isinstance(series, ClusterSeries):
         return Aligned(values, status, count, age, spread, deviation)
-    parts = (values, status, count, age, spread, deviation)
-    return Aligned(*(part[:, 0] for part in parts))
+    return Aligned(
+        values[:, 0], status[:, 0], count[:, 0], age[:, 0], spread[:, 0], deviation[:, 0]
+    )
 
 
 def _vectors(series: Series) -> FloatArray:
@@ -128,7 +129,7 @@ def _vectors(series: Series) -> FloatArray:
 def _complete(vectors: FloatArray) -> Iterator[tuple[IntArray, BoolArray]]:
     """Vectors that are complete in the same readings, as columns (c,), and these readings (N,)."""
     known = np.isfinite(vectors)
-    complete = (known | ~known.any(axis=0)).all(axis=2) & known.any(axis=2)
+    complete: BoolArray = np.all(known | ~known.any(axis=0), axis=2) & np.any(known, axis=2)
     alike: dict[bytes, list[int]] = {}
     for column, rows in enumerate(complete.T):
         alike.setdefault(rows.tobytes(), []).append(column)
@@ -233,7 +234,8 @@ def _lines(
     left = np.flatnonzero(interpolated)
     for part in _split(left, 2 * width):
         index = np.column_stack([before[part], after[part]])
-        offsets = (times[index] - moments[rows[part], None]) * 1e-9
+        since = times[index] - moments[rows[part], None]
+        offsets = 1e-9 * since.astype(np.float64)
         weights = np.column_stack([1.0 - share[part], share[part]])
         exact = index[:, 0] == index[:, 1]  # a reading at the trigger itself
         offsets[exact, 1] = np.nan
@@ -268,7 +270,7 @@ def _parts(
         index = first[part, None] + np.arange(int((end - first)[part].max()))
         inside = index < end[part, None]
         index = np.where(inside, index, first[part, None])
-        offsets = (times[index] - moments[rows[part], None]) * 1e-9
+        offsets = 1e-9 * (times[index] - moments[rows[part], None]).astype(np.float64)
         offsets[~inside] = np.nan
         weights = line_weights(offsets) if is_line else inside / inside.sum(axis=1, keepdims=True)
         yield rows[part], _Chosen(index, offsets, weights, is_line)
@@ -385,7 +387,9 @@ def _columns(series: Series) -> list[FloatArray]:
 def _made(like: Series, times: IntArray, columns: list[FloatArray]) -> Series:
     """A series of the kind, frame and clusters of another one, with other readings."""
     if isinstance(like, PoseSeries):
-        return PoseSeries(times, *columns, like.frame)
+        positions, quaternions = columns
+        return PoseSeries(times, positions, quaternions, like.frame)
+    (values,) = columns
     if isinstance(like, WrenchSeries):
-        return WrenchSeries(times, *columns, like.frame)
-    return ClusterSeries(times, like.clusters, *columns)
+        return WrenchSeries(times, values, like.frame)
+    return ClusterSeries(times, like.clusters, values)

@@ -114,32 +114,32 @@ def import_trial(
             fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
             raise TrialError(fact, closest(chosen.trigger, known))
         received = foreign.read_messages(reader, found, chosen.trigger)
-    for name in foreign.SOURCES:
-        if name not in found:
-            notify(foreign.LACKING[name])
-    sources = {
+    for lacking in foreign.SOURCES:
+        if lacking not in found:
+            notify(foreign.LACKING[lacking])
+    sources: dict[str, foreign.ForeignSource] = {
         name: foreign.read_source(name, at, received, chosen.clusters.names)
         for name, at in found.items()
     }
-    for name, own in sources.items():
-        notify(_in_words(name, own))
+    for place, own in sources.items():
+        notify(_in_words(place, own))
         for note in own.notes:
             notify(note)
     triggers = _triggers(chosen, sources, received)
     period = 1e-9 * usual_period(triggers) if len(triggers) > 1 else 0.0
-    aligned = {
+    aligned: dict[str, Aligned] = {
         name: align(own.series, triggers, getattr(chosen, name).settings, period)
         for name, own in sources.items()
     }
     _refuse_nothing(aligned, sources, triggers)
     record: dict[str, Any] = {"bag": source.name, "triggers": _trigger_record(chosen, triggers)}
-    for name, own in aligned.items():
-        settings = getattr(chosen, name).settings
+    for place, values_of in aligned.items():
+        settings = getattr(chosen, place).settings
         window = averaging_span(settings.window, period)
-        record[name] = {
-            "topic": sources[name].topic,
-            "type": sources[name].type,
-            **imported.described(own, settings, window),
+        record[place] = {
+            "topic": sources[place].topic,
+            "type": sources[place].type,
+            **imported.described(values_of, settings, window),
         }
     record["notes"] = [note for own in sources.values() for note in own.notes]
     if "wrench" in aligned:
@@ -217,7 +217,7 @@ def _delays(given: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
         if wrong := [text for text in texts if "=" not in str(text)]:
             raise ConfigurationError(f"delay is '{wrong[0]}'", hint)
         pairs = [(name.strip(), value) for name, _, value in (t.partition("=") for t in texts)]
-    found = {}
+    found: dict[str, float] = {}
     for name, value in pairs:
         if name not in foreign.SOURCES:
             raise ConfigurationError(f"delay names '{name}'", closest(name, foreign.SOURCES))
@@ -241,7 +241,7 @@ def _in_words(name: str, own: foreign.ForeignSource) -> str:
 
 def _triggers(
     chosen: imported.SourceMapping,
-    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    sources: Mapping[str, foreign.ForeignSource],
     received: Mapping[str, Sequence[Any]],
 ) -> IntArray:
     """Times of the triggers, shape (N,) [ns]."""
@@ -263,8 +263,8 @@ def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[
 
 
 def _refuse_nothing(
-    aligned: Mapping[foreign.Source, Aligned],
-    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    aligned: Mapping[str, Aligned],
+    sources: Mapping[str, foreign.ForeignSource],
     triggers: IntArray,
 ) -> None:
     """Refuse a source that has a value at no trigger."""
@@ -302,8 +302,8 @@ def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str
 
 
 def _cluster_values(
-    sources: Mapping[foreign.Source, foreign.ForeignSource],
-    aligned: Mapping[foreign.Source, Aligned],
+    sources: Mapping[str, foreign.ForeignSource],
+    aligned: Mapping[str, Aligned],
     calibration: Calibration,
     triggers: IntArray,
     notify: Callable[[str], None],

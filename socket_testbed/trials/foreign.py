@@ -43,12 +43,13 @@ _WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics
     "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
     "clusters": ("cluster", "capacit"),
 }
-LACKING: dict[Source, str] = {  # what a trial without the source lacks, and what it would take
-    "wrench": "no wrench: clusters alone; the map needs a load cell's Wrench or WrenchStamped",
-    "socket_pose": "no pose of the socket: a fit needs the poses of socket and pylon",
-    "pylon_pose": "no pose of the pylon: a fit needs the poses of socket and pylon",
-    "clusters": "no clusters: the map of pressure and its validation need their capacitances or"
-    " stresses",
+LACKING: dict[Source, str] = {  # what a trial cannot do without the source
+    "wrench": "no wrench: no load or plateau is known, so give --segment all; a fit needs the load"
+    " cell's Wrench or WrenchStamped",
+    "socket_pose": "no pose of the socket: a fit and the report need the poses of socket and pylon",
+    "pylon_pose": "no pose of the pylon: a fit and the report need the poses of socket and pylon",
+    "clusters": "no clusters: the map of pressure comes from the wrench alone, unvalidated; it"
+    " needs their capacitances or stresses",
 }
 _CHANNEL = re.compile(r"(?P<cluster>.+?)[._/: -]?(?P<channel>[0-3])")
 _MAX_LAYOUTS = 200

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, field
 
 from socket_testbed.alignment.align import Aligned
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, finite_mean
@@ -31,7 +31,7 @@ _DEPTH = 100  # [messages]
 _Delay = Annotated[float, Meta(ge=-MAX_DELAY, le=MAX_DELAY)]
 
 
-class SourceDocument(Document, frozen=True):
+class SourceDocument(Document):
     """A source in a mapping file.
 
     Attributes:
@@ -57,7 +57,7 @@ class SourceDocument(Document, frozen=True):
         )
 
 
-class WrenchDocument(SourceDocument, frozen=True):
+class WrenchDocument(SourceDocument):
     """The wrench in a mapping file.
 
     Attributes:
@@ -69,7 +69,7 @@ class WrenchDocument(SourceDocument, frozen=True):
     pose: PoseDocument | None = None
 
 
-class ClustersDocument(SourceDocument, frozen=True):
+class ClustersDocument(SourceDocument):
     """The clusters in a mapping file.
 
     Attributes:
@@ -79,7 +79,7 @@ class ClustersDocument(SourceDocument, frozen=True):
     names: tuple[str, ...] = ()
 
 
-class SourceMapping(Document, frozen=True):
+class SourceMapping(Document):
     """A mapping file: which topic is what, and how it is brought to triggers.
 
     Attributes:
@@ -92,10 +92,10 @@ class SourceMapping(Document, frozen=True):
         trigger: Topic whose stamps are the triggers; None for a rate.
     """
 
-    wrench: WrenchDocument = WrenchDocument()
-    socket_pose: SourceDocument = SourceDocument()
-    pylon_pose: SourceDocument = SourceDocument()
-    clusters: ClustersDocument = ClustersDocument()
+    wrench: WrenchDocument = field(default_factory=WrenchDocument)
+    socket_pose: SourceDocument = field(default_factory=SourceDocument)
+    pylon_pose: SourceDocument = field(default_factory=SourceDocument)
+    clusters: ClustersDocument = field(default_factory=ClustersDocument)
     rate: Annotated[float, Meta(ge=0.1, le=1000.0)] | None = None
     trigger: str | None = None
 
