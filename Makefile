@@ -12,6 +12,8 @@ PIP := $(BIN)/pip --disable-pip-version-check --quiet
 # Another ROS environment, sourced or of wheels, must not leak into this one.
 unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Each node is a process of its own: kept bytecode starts it sooner.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
 .PHONY: demo test quick test-slow mutants docs setup lint benchmark colcon clean

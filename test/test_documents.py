@@ -215,8 +215,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def model(folder: Path) -> Any:
     geometry, _, samples, chosen = make_case(0)
     fit = fit_contact_model(samples, geometry, chosen)
-    trial = {"name": "hold", "unloaded": [[0.5, 2.5]]}
-    write_model(fit, geometry, trial, "plateau", folder / "good.json")
+    named = dataclasses.replace(fit, trial="hold", unloaded=((0.5, 2.5),), segment="plateau")
+    write_model(named, folder / "good.json")
     return json.loads((folder / "good.json").read_text())
 
 

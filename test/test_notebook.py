@@ -229,7 +229,7 @@ def results(simulated, tmp_path_factory):
             "trial": simulated,
             "fit": fitted,
             "evaluation": st.evaluate(simulated, fitted, "all", pressure=True),
-            "model": fitted.stored(),
+            "model": fitted.fit,
             "map": st.force_map(simulated, "all"),
             "pressure": st.pressure(simulated, "all"),
             "tradeoff": st.pareto(simulated, "all", thetas=3),

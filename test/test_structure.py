@@ -48,17 +48,21 @@ def imports(tree: ast.AST) -> set[str]:
     return found
 
 
-TREES = {
-    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): ast.parse(path.read_text())
-    for path in FILES
-}
-IMPORTS = {own: imports(tree) for own, tree in TREES.items()}
+@pytest.fixture(scope="module")
+def imported() -> dict[str, set[str]]:
+    """What each module of the package imports, by the module's name."""
+    return {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): imports(
+            ast.parse(path.read_text())
+        )
+        for path in FILES
+    }
 
 
-def test_imports_point_one_way() -> None:
+def test_imports_point_one_way(imported: dict[str, set[str]]) -> None:
     upward = [
         f"{own} imports {name}"
-        for own, names in IMPORTS.items()
+        for own, names in imported.items()
         for name in names
         if own != "socket_testbed.__init__"
         and name.startswith("socket_testbed.")
@@ -67,13 +71,13 @@ def test_imports_point_one_way() -> None:
     assert not upward
 
 
-def test_no_imports_go_round_in_a_circle() -> None:
+def test_no_imports_go_round_in_a_circle(imported: dict[str, set[str]]) -> None:
     """Not even those inside a function, or for types alone."""
-    TopologicalSorter({own: names & set(IMPORTS) for own, names in IMPORTS.items()}).prepare()
+    TopologicalSorter({own: names & set(imported) for own, names in imported.items()}).prepare()
 
 
-def test_only_nodes_import_ros() -> None:
-    for own, names in IMPORTS.items():
+def test_only_nodes_import_ros(imported: dict[str, set[str]]) -> None:
+    for own, names in imported.items():
         packages = {name.split(".")[0] for name in names}
         ros = [name for name in packages if name in ROS or name.endswith(("_msgs", "_srvs"))]
         assert not ros or top(own) == "nodes", (own, ros)

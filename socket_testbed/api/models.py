@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
@@ -15,27 +14,10 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import as_trial, note_problems, settings_of
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_kind, path_of
-from socket_testbed.files import TABLES, write_text
-from socket_testbed.identification import information
-from socket_testbed.identification.fit import (
-    ChannelErrors,
-    Fit,
-    errors_to_dataframe,
-    fit_contact_model,
-    summarise_errors,
-)
-from socket_testbed.identification.fit import evaluate as _evaluate
-from socket_testbed.identification.model_file import (
-    StoredModel,
-    quoted_figures,
-    record,
-    write_model,
-)
+from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.model_file import read_model as _read_model
-from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.validation import judge_unseen_half
-from socket_testbed.results.pressure import TrialPressure
-from socket_testbed.results.result import PathLike, Result, origin
+from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge
+from socket_testbed.results.result import PathLike
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import (
     FitChoices,
@@ -46,278 +28,8 @@ from socket_testbed.settings.identification import (
 from socket_testbed.trials.segment import Segment, Span, first_frames
 from socket_testbed.trials.trial import Trial
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
-
-
-@dataclass(frozen=True, repr=False)
-class TrialFit(Result):
-    """A contact model fitted on a segment of a trial, with its certificates.
-
-    The table holds the in-sample errors, the figure shows the stiffness of every tile, and `save`
-    writes a model for `st.read_model`.
-
-    Attributes:
-        trial: The trial.
-        segment: The part that was fitted; with `frames` only its first samples. Its `start` and
-            `end` [s] count from the first sample of the trial, `rows` is a slice of its samples.
-        fit: The contact model (`fit.model`), the settings used, the errors of every channel on the
-            segment, and the certificates of both stages.
-    """
-
-    trial: Trial
-    segment: Segment
-    fit: Fit
-
-    def __repr__(self) -> str:
-        fit = self.fit
-        return (
-            f"TrialFit({fit.model.variant} on {self.trial.name}, {self.segment}, theta"
-            f" {fit.settings.theta:g}; {summarise_errors(fit.errors).in_words()})"
-        )
-
-    def save(self, path: PathLike) -> None:
-        """Write the model with its geometry, settings, certificates and the trial's identity.
-
-        Args:
-            path: The JSON file, with any suffix; an existing one is replaced.
-        """
-        samples = self.trial.samples()
-        identity = {
-            "name": self.trial.name,
-            "fingerprint": self.trial.fingerprint,
-            "first_stamp": int(samples.stamps[0]),
-            "last_stamp": int(samples.stamps[-1]),
-            "samples": len(samples),
-            **self.trial.replaced,
-        }
-        write_model(
-            self.fit, self.trial.geometry, identity, str(self.segment), path_of(path, "the file")
-        )
-
-    def stored(self) -> StoredModel:
-        """The model as `st.read_model` returns it after `save`."""
-        fit = self.fit
-        return StoredModel(
-            model=fit.model,
-            geometry=self.trial.geometry,
-            settings=fit.settings,
-            samples=fit.samples,
-            first_stamp=fit.first_stamp,
-            last_stamp=fit.last_stamp,
-            wrench_rmse=fit.wrench_rmse,
-            errors=fit.errors,
-            status=fit.status,
-            trial=self.trial.name,
-            fingerprint=self.trial.fingerprint,
-            unloaded=self.trial.unloaded,
-            segment=str(self.segment),
-        )
-
-    def load_shares(self) -> tuple[information.LoadShare, ...]:
-        """Shares of the measured wrench that springs and offsets carry, over the segment.
-
-        Returns:
-            For `Fz`, the whole `force` and the `moment`, in this order: the share of the `springs`,
-            of the `offsets` and the `residual` that neither explains [-], which add up to 1. NaN
-            without a sample that has a pose and this part of the wrench.
-        """
-        smooth = smooth_poses(self._samples(), self.fit.settings.pose_smoothing)
-        return information.load_shares(smooth, self.fit.model)
-
-    def motion(self) -> information.Motion:
-        """Motion of the pose over the segment, relative to its noise.
-
-        Returns:
-            `excitations`: for position x, y, z and rotation about x, y, z of {S} the standard
-            deviations of the `motion`, noise removed, and of the `noise` [m, rad], NaN if unknown;
-            and `directions`, the number (0 to 6) of independent directions that move at least three
-            times their noise.
-        """
-        window = self.fit.settings.pose_smoothing
-        return information.measure_motion(self._samples(), self.trial.geometry, window)
-
-    def unseen_half(self) -> tuple[ChannelErrors, ...]:
-        """Errors on the second half of the segment for a model fitted on its first half.
-
-        In-sample errors are optimistic; rank trials and settings by these instead. They require
-        another fit, with the same settings.
-
-        Returns:
-            Errors of every channel as in `fit.errors`: the wrench's six, then three per cluster.
-        """
-        with threadpool_limits(1):
-            return judge_unseen_half(self._samples(), self.trial.geometry, self.fit.settings)
-
-    def _samples(self) -> Samples:
-        """Samples of the segment without outliers."""
-        return self.trial.sound(self.fit.settings.leave_out)[self.segment.rows]
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """In-sample errors, a row per channel, indexed by `channel`: such as `Mx`, `distal.Fz`.
-
-        Columns:
-
-        - `unit`: unit of the channel, `N m` or `N`;
-        - `RMSE`, `MAE`, `sigma`: root-mean-square and mean absolute error, and standard deviation
-          of the residual (predicted - measured), each in this unit;
-        - `skill`: 1 - RMSE / RMSE of the best constant [-]: 1 is perfect, 0 no better than a
-          constant;
-        - `samples`: number of samples in which the channel was measured and predicted;
-        - `in objective`: whether the channel was fitted, that is not left out.
-
-        Errors and skill are NaN for a channel without such a sample, the skill also for a channel
-        that does not change.
-        """
-        return errors_to_dataframe(self.fit.errors)
-
-    def document(self) -> dict[str, Any]:
-        """The in-sample errors for JSON; `save` writes the model itself.
-
-        Returns:
-            `trial`, `model` (its `trial` and `variant`), `segment` (`kind`, `start` and `end` [s]),
-            the number of `samples`, `channels` with the errors of each in its `unit`, and
-            `in_objective`, the paper's mean and median errors [N m, N] over the fitted channels.
-        """
-        return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
-
-    def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.figures.tiles import tile_map_figure
-
-        model = self.fit.model
-        maps = {
-            f"k along {x} of {model.frame}": k
-            for x, k in zip("xyz", model.stiffness.T, strict=True)
-        }
-        heading = f"{self.trial.name}, {self.segment}: stiffness, {model.variant}"
-        side = self.trial.metadata.side
-        return tile_map_figure(
-            self.trial.geometry, maps, "stiffness [N/m]", heading, style, side=side
-        )
-
-
-Model: TypeAlias = TrialFit | StoredModel | PathLike
+Model: TypeAlias = TrialFit | FittedModel | PathLike
 """A fit, a model that `st.read_model` read, or the path of its file."""
-
-
-@dataclass(frozen=True, repr=False)
-class Evaluation(Result):
-    """A model evaluated on a segment of a trial, with the errors of every channel.
-
-    The table holds the errors; the figure shows the measured and the predicted wrench over the
-    whole trial.
-
-    Attributes:
-        trial: The trial that the model is judged on.
-        model: The model, with its socket and settings; `model.settings.pose_smoothing` is the
-            window over which poses were averaged [s].
-        segment: The part of the trial that is judged. Its `start` and `end` [s] count from the
-            first sample of the trial, `rows` is a slice of its samples.
-        samples: Number of samples of the segment with both a wrench and a limb pose, outliers not
-            counted.
-        errors: Errors of every channel over the segment, in the channel's unit [N m, N]: the
-            wrench's six in {S}, then three per cluster in the frame {L} of its tile. Outliers, and
-            cluster forces whose status is not OK, count as not measured.
-        pressure: Pressure outputs of the segment; None unless requested.
-    """
-
-    trial: Trial
-    model: StoredModel
-    segment: Segment
-    samples: int
-    errors: tuple[ChannelErrors, ...]
-    pressure: TrialPressure | None = None
-
-    def __repr__(self) -> str:
-        return (
-            f"Evaluation({self.model.model.variant} of {self.model.trial} on {self.trial.name},"
-            f" {self.segment}; {summarise_errors(self.errors).in_words()})"
-        )
-
-    @property
-    def in_sample(self) -> bool:
-        """Whether the model was fitted on some samples of the segment."""
-        used = self.model.used(self.trial.name, self.trial.fingerprint, self.trial.samples())
-        return bool(used[self.segment.rows].any())
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Errors, a row per channel, indexed by `channel`: such as `Mx`, `distal.Fz`.
-
-        Columns:
-
-        - `unit`: unit of the channel, `N m` or `N`;
-        - `RMSE`, `MAE`, `sigma`: root-mean-square and mean absolute error, and standard deviation
-          of the residual (predicted - measured), each in this unit;
-        - `skill`: 1 - RMSE / RMSE of the best constant [-]: 1 is perfect, 0 no better than a
-          constant, which knows the mean of this segment;
-        - `samples`: number of samples in which the channel was measured and predicted;
-        - `in objective`: whether the channel was in the objective of the model's fit.
-
-        Errors and skill are NaN for a channel without such a sample, the skill also for a channel
-        that does not change.
-        """
-        return errors_to_dataframe(self.errors)
-
-    def engagement(self) -> information.Engagement:
-        """Engaged springs at every sample of the trial, and their share of the segment's time.
-
-        Returns:
-            `springs`, their number in the model; `engaged` and `uncertain`, numbers of engaged and
-            of uncertain springs at each of the trial's N samples, shape (N,) [1], NaN without a
-            pose, `uncertain` also if the pose's noise is unknown; and `time_share`, the share of
-            the segment's samples with a pose in which a spring is engaged [-], shape (n, 3) by tile
-            and axis of {S}, (n, 1) in the rigid variants.
-        """
-        model, window = self.model.model, self.model.settings.pose_smoothing
-        samples = self.trial.sound(self.model.settings.leave_out)
-        return information.engagement(samples, model, window, self.segment.rows)
-
-    def document(self) -> dict[str, Any]:
-        """The evaluation for JSON.
-
-        Returns:
-            The keys of `TrialFit.document` for this trial, segment and model; `in_sample`; and, if
-            requested, `pressure` as in `TrialPressure.document`.
-        """
-        found = _errors_document(self, self.model, self.samples, self.errors)
-        found["in_sample"] = self.in_sample
-        return found | ({"pressure": self.pressure.document()} if self.pressure else {})
-
-    def save(self, path: PathLike) -> None:
-        """Write the errors as JSON, or as a table by suffix; an existing file is replaced.
-
-        Args:
-            path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
-        """
-        path = path_of(path, "the file")
-        if path.suffix.lower() in TABLES:
-            super().save(path)
-        else:
-            write_text(path, self.to_json())
-
-    def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.models import wrench_figure
-
-        predicted = predictions(self.trial, self.model)
-        shown = [(self.model.model.variant, predicted, self.errors)]
-        heading = f"{self.trial.name}, {self.segment}: measured and predicted wrench"
-        return wrench_figure(self.trial.samples(), self.segment, shown, heading, style)
-
-
-def _errors_document(
-    found: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
-) -> dict[str, Any]:
-    identity = origin(found.trial, found.segment)
-    return {
-        "trial": identity["trial"],
-        "model": {"trial": model.trial, "variant": model.model.variant},
-        "segment": identity["segment"],
-        "samples": samples,
-        "channels": [record(error) for error in errors],
-        "in_objective": quoted_figures(errors),
-    }
 
 
 def fit(
@@ -387,11 +99,7 @@ def fit(
         "solver": solver,
     }
     trial, chosen, rows, settings = prepare_fit(trial, segment, params, choices)
-    # More threads change the rounding of sums; a trial must give the same model on every machine.
-    # The programs are small, so that a single thread is no slower.
-    with threadpool_limits(1):
-        found = fit_contact_model(rows, trial.geometry, settings)
-    return TrialFit(trial, chosen, found)
+    return fit_segment(trial, chosen, rows, settings)
 
 
 def prepare_fit(
@@ -421,7 +129,7 @@ def prepare_fit(
     return trial, chosen, trial.checked(leave_out).part(chosen.rows), settings.identification
 
 
-def read_model(path: PathLike) -> StoredModel:
+def read_model(path: PathLike) -> FittedModel:
     """Read a model saved by `fit`.
 
     Returns:
@@ -435,14 +143,14 @@ def read_model(path: PathLike) -> StoredModel:
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
     >>> model
-    StoredModel(rigid_bias of hold, ... samples, ... tiles)
+    FittedModel(rigid_bias of hold, ... samples, ... tiles)
     >>> model.model.stiffness.shape == (len(model.geometry), 3)  # [N/m]
     True
     """
     return _read_model(path_of(path, "the file"))
 
 
-def model_for(trial: Trial, model: Model) -> StoredModel:
+def model_for(trial: Trial, model: Model) -> FittedModel:
     """A fit, a stored model or one at a path, for a trial; refuses one of another socket.
 
     Args:
@@ -450,8 +158,8 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
         model: See `Model`.
     """
     if isinstance(model, TrialFit):
-        model = model.stored()
-    elif not isinstance(model, StoredModel):
+        model = model.fit
+    elif not isinstance(model, FittedModel):
         hint = "give a fit, a model, or the path of its file"
         check_kind(model, (str, os.PathLike), "the model", hint)
         model = read_model(model)
@@ -459,13 +167,7 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
     return model
 
 
-def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
-    """Predictions of a model, shape (N, 6 + 3c) [N m, N], with poses averaged as in its fit."""
-    with threadpool_limits(1):
-        return stored.predictions(samples)
-
-
-def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
+def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
     """Predictions of all channels at all samples of a trial.
 
     Args:
@@ -476,7 +178,9 @@ def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
         The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
         of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
     """
-    return _predictions(trial.checked(stored.settings.leave_out).posed(), stored)
+    samples = trial.checked(stored.settings.leave_out).posed()
+    with threadpool_limits(1):
+        return stored.predictions(samples)
 
 
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
@@ -548,14 +252,13 @@ def evaluate(
     if pose_smoothing is not None:
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
         stored = dataclasses.replace(stored, settings=changed)
-    leave_out = stored.settings.leave_out
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
     chosen = trial.select(segment, settings)
-    rows = trial.checked(leave_out).posed(chosen.rows)
-    note_problems(trial, leave_out)
+    found = judge(trial, stored, chosen)
+    note_problems(trial, stored.settings.leave_out)
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.note(f"the model was fitted {fitted} --unloaded: its offsets differ")
-    errors = _evaluate(rows, _predictions(rows, stored), leave_out)
-    outputs = pressure_of(trial, chosen) if pressure else None
-    return Evaluation(trial, stored, chosen, int(rows.has_pose_and_wrench.sum()), errors, outputs)
+    if not pressure:
+        return found
+    return dataclasses.replace(found, pressure=pressure_of(trial, chosen))

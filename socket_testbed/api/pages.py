@@ -27,7 +27,7 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     from socket_testbed.pages.server import PageServer
-    from socket_testbed.report.results import Results
+    from socket_testbed.results.report import Results
 
 _HEADINGS = {
     "metadata": "Metadata of the trials",
@@ -102,9 +102,9 @@ def write_report(
     trial = trials.as_trial(trial)
     # matplotlib and plotly are slow to import.
     from socket_testbed.figures.style import figure_style
-    from socket_testbed.report.results import compute_results
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
+    from socket_testbed.results.report import compute_results
 
     page = path_of(page, "the page")
     values = theta_values(thetas)

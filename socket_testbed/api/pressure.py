@@ -11,7 +11,7 @@ from socket_testbed.api.trials import as_trial, settings_of
 from socket_testbed.documents import check_number, mapping_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.problem import check_channels
-from socket_testbed.results.pressure import MappedTrial, TrialMap, TrialPressure, mapped_trial
+from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.options import PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -56,8 +56,7 @@ def force_map(
     """
     trial = as_trial(trial)
     settings = settings_of(trial, params)
-    chosen, mapped = _mapped(trial, segment, settings)
-    return mapped.part(chosen)
+    return _mapped(trial, segment, settings)
 
 
 def _mapped(
@@ -65,11 +64,11 @@ def _mapped(
     segment: str | Span | Segment,
     settings: EstimatorSettings,
     geometry: SocketGeometry | None = None,
-) -> tuple[Segment, MappedTrial]:
+) -> TrialMap:
     check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = trial.select(segment, settings)
     with threadpool_limits(1):
-        return chosen, mapped_trial(trial, settings, geometry)
+        return map_trial(trial, settings, geometry).part(chosen)
 
 
 def pressure(
@@ -124,6 +123,6 @@ def pressure(
         hint = "give tiles by name, such as {'heel': ['distal']}"
         own = find_regions(mapping_of(regions, "regions", hint), geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
-    chosen, mapped = _mapped(trial, segment, settings, geometry)
+    mapped = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):
-        return mapped.over(chosen, threshold, share)
+        return mapped.pressure(threshold, share)

@@ -48,7 +48,7 @@ from socket_testbed.trials.trial import Trial
 from socket_testbed.wire.topics import full_namespace
 
 if TYPE_CHECKING:
-    from socket_testbed.report.results import Results  # slow: it imports matplotlib
+    from socket_testbed.results.report import Results  # slow: it imports matplotlib
 
 _BY_REGION = ("mean pressure", "peak pressure", "share of load")
 _INTERVAL = 0.2  # [s]; between checks of the time

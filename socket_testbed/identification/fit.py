@@ -6,19 +6,17 @@ A fit runs both stages, and for some laws refines both jointly.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, finite_mean, rms
-from socket_testbed.errors import IdentificationError
+from socket_testbed.arrays import BoolArray, FloatArray, finite_mean, rms
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import (
-    MIN_SAMPLES,
     Problem,
     build_objective,
     check_channels,
@@ -31,18 +29,16 @@ from socket_testbed.identification.solver import (
     solve_box_qp,
     solve_cold,
 )
-from socket_testbed.samples import GROUPS, WRENCH_CHANNELS, Samples, channel_names, channel_unit
+from socket_testbed.identification.wrench import fit_wrench
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_names, channel_unit
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
 from socket_testbed.tables import number, split_unit
 
 if TYPE_CHECKING:
     import pandas as pd
 
-REGRESSION = "linear regression on the pose"
-MAX_ERROR_RATIO = 0.95  # [-]; to the error of the bed's own springs, to replace them
+OWN_SPRINGS = "the bed's own springs"
 _MIN_CHANGE = 0.1  # [-]; of the force, relative to its RMS
-_RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
-_MIN_SPREAD = 1e-12  # [-]; spread of a constant component of the pose, relative to its magnitude
 _MAX_STEPS = 100
 _DAMPING = 1e-2  # [-]; of the first step, relative to the mean curvature
 _CONSTANT = 1e-12  # [-]; spread of a constant channel, relative to its magnitude
@@ -186,15 +182,22 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     )
 
 
-def predictions(samples: Samples, model: ContactModel, window: float) -> FloatArray:
+def predictions(
+    samples: Samples, model: ContactModel, window: float, past: Samples | None = None
+) -> FloatArray:
     """Predictions of all channels in the order of `Samples.channels`, (N, 6 + 3c) [N m, N].
 
     Args:
-        samples: N samples, of which the poses and the names of the c clusters matter.
+        samples: N samples, of which the stamps, the poses and the names of the c clusters matter.
         model: The model, which has these clusters.
         window: Width of the centred window over which poses are averaged [s]; 0: not averaged.
+        past: The samples before these, which a model with memory needs; None for no past.
     """
-    return model.predict(smooth_poses(samples, window).pose, samples.clusters)
+    trail = model.trail()
+    if past is not None and trail is not None:
+        model.wrench(smooth_poses(past, window).pose, past.stamps, trail)
+    pose = smooth_poses(samples, window).pose
+    return model.predict(pose, samples.clusters, samples.stamps, trail)
 
 
 def evaluate(
@@ -209,7 +212,7 @@ def evaluate(
         leave_out: Names of the channels that were not fitted, such as `Mz`.
     """
     if isinstance(predicted, ContactModel):
-        predicted = predicted.predict(samples.pose, samples.clusters)
+        predicted = predicted.predict(samples.pose, samples.clusters, samples.stamps)
     measured = samples.trusted_values
     return tuple(
         channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)
@@ -217,49 +220,119 @@ def evaluate(
     )
 
 
-@dataclass(frozen=True)
-class Fit:
-    """A fitted model with its errors and certificates.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FittedModel:
+    """A fitted model with its errors, its socket, and the trial that it came from.
+
+    A fit is one, and so is what `model_file.read_model` reads.
 
     Attributes:
-        model: The fitted model.
+        model: The contact model.
+        geometry: Geometry of the socket it was fitted on.
         settings: Settings of the identification, with the `initial_stiffness` used.
         samples: Number of samples in the objective.
-        first_stamp: Time of the oldest of these samples since the epoch [ns].
+        first_stamp: Time of the oldest of these samples since the epoch [ns]; 0 in a model of an
+            older version.
         last_stamp: Time of the newest of these samples since the epoch [ns].
-        determined: Effective number of directions among the 3n stiffnesses that the data
-            determines, 0 to 3n [-]; the prior (smoothness) determines the others.
-        errors: Errors of every channel on the samples of the fit, the wrench's six first, then
-            three per cluster.
-        stage_one: Certified solution of Stage 1, scaled rest displacements, shape (3n,) [-].
-        stage_two: Certified solution of Stage 2, scaled stiffnesses, shape (3n,) [-].
-        joint: Certified joint refinement of both in the rigid variants, shape (6n,) [-]; None in
-            the paper's variants.
-        wrench: What predicts the wrench, in words; empty for the model's own springs.
+        wrench_rmse: RMSE of the wrench [M; F] in {S} on these samples, shape (6,) [N m, N]; NaN for
+            a channel without values.
+        errors: Errors of every channel on these samples, the wrench's six first, then three per
+            cluster; empty in a model of an older version.
+        status: Solver and certificate of both stages and of their refinement, in words.
+        trial: Name of the trial it was fitted on; empty for samples of no trial.
+        fingerprint: Fingerprint of that trial; empty in a model of an older version.
+        unloaded: Start and end of the spans in which the limb was unloaded, used to correct the
+            clusters' drift, since the first sample of the trial [s].
+        segment: The segment of the fit, such as `plateau 12.00 s to 31.50 s`; empty in a model of
+            an older version.
     """
 
     model: ContactModel
+    geometry: SocketGeometry
     settings: IdentificationSettings
     samples: int
     first_stamp: int
     last_stamp: int
-    determined: float
+    wrench_rmse: FloatArray
     errors: tuple[ChannelErrors, ...]
+    status: str
+    trial: str = ""
+    fingerprint: str = ""
+    unloaded: tuple[tuple[float, float], ...] = ()
+    segment: str = ""
+
+    def predictions(self, samples: Samples, past: Samples | None = None) -> FloatArray:
+        """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
+
+        Args:
+            samples: N samples, whose poses are averaged as in the fit.
+            past: The samples before these, which a model with memory needs; None for no past.
+        """
+        return predictions(samples, self.model, self.settings.pose_smoothing, past)
+
+    def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
+        """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.
+
+        Args:
+            trial: Name of the trial, which identifies it for a model of an older version.
+            fingerprint: Fingerprint of the trial, which identifies it otherwise.
+            samples: N samples of the trial, of which the stamps matter.
+        """
+        stamps = samples.stamps
+        same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
+        own = same and self.last_stamp in stamps
+        return own & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
+
+    def __repr__(self) -> str:
+        origin = f" of {self.trial}" if self.trial else ""
+        return (
+            f"{type(self).__name__}({self.model.variant}{origin}, {self.samples} samples,"
+            f" {len(self.geometry)} tiles)"
+        )
+
+    def require_socket(self, geometry: SocketGeometry) -> None:
+        """Check that the model was fitted on this socket.
+
+        Raises:
+            ConfigurationError: If the tiles differ, or a cluster is on another tile or has another
+                area.
+        """
+        if not self.geometry.same_tiles(geometry):
+            raise ConfigurationError(
+                f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
+                f" tiles) than the one that it is used on ({len(geometry)} tiles)",
+                "fit a model on this socket, or give the socket.yaml of the model's trial",
+            )
+        own = self.geometry
+        for name in own.clusters.keys() & geometry.clusters.keys():
+            tile, other = own.clusters[name], geometry.clusters[name]
+            if tile != other or not np.isclose(own.areas[tile], geometry.areas[other]):
+                raise ConfigurationError(
+                    f"{name} had another tile or area in the socket of the model of {self.trial}",
+                    "fit the model again with this socket.yaml",
+                )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Fit(FittedModel):
+    """A model that was fitted here, with the certificates of its programs.
+
+    Attributes:
+        determined: Effective number of directions among the 3n stiffnesses that the data
+            determines, 0 to 3n [-]; the prior (smoothness) determines the others.
+        stage_one: Certified solution of Stage 1, scaled rest displacements, shape (3n,) [-].
+        stage_two: Certified solution of Stage 2, scaled stiffnesses, shape (3n,) [-].
+        joint: Certified joint refinement of both in the rigid variants, shape (6n,) [-]; None in
+            the paper's variants.
+        wrench: What predicts the wrench with `rigid_bias`, and why, in words; empty for a variant
+            without a choice.
+    """
+
+    determined: float
     stage_one: BoxSolution
     stage_two: BoxSolution
     joint: BoxSolution | None
     wrench: str
-
-    @property
-    def wrench_rmse(self) -> FloatArray:
-        """In-sample RMSE of the wrench [M; F] in {S}, shape (6,) [N m, N]; NaN without a value."""
-        return np.array([error.rmse for error in self.errors[:6]])
-
-    @property
-    def status(self) -> str:
-        """Solver and certificate of both stages and of their refinement, in words."""
-        stages = f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
-        return stages if self.joint is None else f"{stages}; {self.joint.status}"
 
 
 def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
@@ -305,16 +378,20 @@ def fit_contact_model(
     if problem.law.REFINED:
         x, joint = _refine(problem, x, solver, tolerance)
         moments = problem.moments(x)
-    model, used = problem.model(x), problem.objective.samples
-    model, chosen = _with_wrench_model(model, samples, used, geometry, settings)
+    used = problem.objective.samples
+    model, chosen = _with_wrench_model(problem.model(x), used, settings)
+    errors = evaluate(used, model, settings.leave_out)
     return Fit(
         model=model,
+        geometry=geometry,
         settings=problem.settings,
         samples=len(used),
         first_stamp=int(used.stamps[0]),
         last_stamp=int(used.stamps[-1]),
         determined=problem.determined_directions(x, moments),
-        errors=evaluate(used, model, settings.leave_out),
+        wrench_rmse=np.array([error.rmse for error in errors[:6]]),
+        errors=errors,
+        status=_status(rest, springs, joint),
         stage_one=rest,
         stage_two=springs,
         joint=joint,
@@ -322,89 +399,36 @@ def fit_contact_model(
     )
 
 
+def _status(rest: BoxSolution, springs: BoxSolution, joint: BoxSolution | None) -> str:
+    """Solver and certificate of both stages and of their refinement, in words."""
+    stages = f"stage 1 {rest.status}; stage 2 {springs.status}"
+    return stages if joint is None else f"{stages}; {joint.status}"
+
+
 def _with_wrench_model(
-    model: ContactModel,
-    samples: Samples,
-    used: Samples,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
+    model: ContactModel, used: Samples, settings: IdentificationSettings
 ) -> tuple[ContactModel, str]:
-    """The model with the best predictor of the wrench, and its name; empty for its own springs.
+    """The model with its predictor of the wrench, and which one it is and why, in words.
 
-    Candidates are the bed of `contact_sharpness`, beds of other sharpness and a linear regression
-    on the pose. They are fitted on the first half of the samples in the fit and tested on the
-    second. One that is clearly better than the bed is refitted on all samples and replaces it.
-    """
-    middle = used.stamps[len(used) // 2]
-    first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
-    complete = np.isfinite(used.wrench).all() and used.counted(settings.leave_out)[:6].all()
-    if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not complete:
-        return model, ""
-    # At constant load the unseen half does not show how a prediction extrapolates.
-    changes = relative_change(used.wrench[:, 3:]) > _MIN_CHANGE
-    if min(len(first), len(unseen)) < MIN_SAMPLES or not changes:
-        return model, ""
-    alone, early = replace(settings, wrench_sharpness=()), samples[samples.stamps < middle]
-
-    def fitted(sharpness: float, on: Samples) -> ContactModel:
-        return fit_contact_model(on, geometry, replace(alone, contact_sharpness=sharpness)).model
-
-    beds = (settings.contact_sharpness, *settings.wrench_sharpness)
-    sharpness = {f"springs of sharpness {value:g} /m": value for value in beds}
-    base = next(iter(sharpness))
-    tried = {}
-    for name, value in sharpness.items():
-        with suppress(IdentificationError):  # such as a cluster that began later
-            tried[name] = fitted(value, early)
-    if base not in tried:
-        return model, ""
-    tried[REGRESSION] = _regression(tried[base], first)
-    errors = {name: _wrench_error(each, unseen) for name, each in tried.items()}
-    best = min(errors, key=errors.__getitem__)
-    if not errors[best] < MAX_ERROR_RATIO * errors[base]:
-        return model, ""
-    known = sharpness.get(best)
-    chosen = _regression(model, used) if known is None else fitted(known, samples)
-    better = f"{best}: {100.0 * (1.0 - errors[best] / errors[base]):.0f} % less error on the"
-    return replace(model, of_wrench=chosen), f"{better} unseen half than the bed's own springs"
-
-
-def regress_wrench(samples: Samples, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Regress the wrench linearly on the limb's motion, by least squares.
-
-    If the motions lack rank, the solution has minimum norm in standardised motions.
+    With `rigid_bias` a regression on the pose, with or without memory, predicts the wrench if the
+    force changes enough: see `wrench`. Otherwise the springs do. The words are empty for a variant
+    without a choice.
 
     Args:
-        samples: N samples, with every pose and a wrench without gaps in a channel; the poses show
-            which components of the motion are constant.
-        motion: Their displacements and rotations since a reference pose, in {S}, shape (N, 6)
-            [m, rad].
-
-    Returns:
-        The slope, shape (6, 6), a row per channel [N m, N per m, rad], and the wrench at zero
-        motion, shape (6,) [N m, N]. A channel with a missing value has a constant of NaN.
+        model: The fitted model.
+        used: The samples of the fit, with a pose and a wrench.
+        settings: Settings of the fit.
     """
-    mean, constant = motion.mean(axis=0), samples.wrench.mean(axis=0)
-    spread = motion.std(axis=0)
-    spread = np.where(spread > _MIN_SPREAD * np.abs(samples.pose).max(axis=0), spread, np.inf)
-    known = np.nan_to_num(samples.wrench - constant)
-    slope = np.linalg.lstsq((motion - mean) / spread, known, rcond=_RANK)[0].T / spread
-    return slope, constant - slope @ mean
-
-
-def _regression(model: ContactModel, samples: Samples) -> ContactModel:
-    """A model without springs; its wrench is linear in the pose."""
-    slope, constant = regress_wrench(samples, model.law.motion(samples.pose))
-    none = np.zeros_like(model.stiffness)
-    return replace(model, stiffness=none, force_bias={}, wrench_slope=slope, wrench_bias=constant)
-
-
-def _wrench_error(model: ContactModel, samples: Samples) -> float:
-    """Relative error of the moments plus that of the forces, over their standard deviations [-]."""
-    missed = np.sqrt(np.mean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
-    change = samples.wrench.std(axis=0)
-    parts = ((missed[part].sum(), change[part].sum()) for part in GROUPS)
-    return float(sum(error / max(size, 1e-9) for error, size in parts))
+    if settings.variant != "rigid_bias":
+        return model, ""
+    complete = np.isfinite(used.wrench).all() and used.counted(settings.leave_out)[:6].all()
+    if not complete:
+        return model, f"{OWN_SPRINGS}: a channel of the wrench is missing or left out"
+    # At constant load no sample shows how a prediction extrapolates.
+    if not relative_change(used.wrench[:, 3:]) > _MIN_CHANGE:
+        return model, f"{OWN_SPRINGS}: the force changes by less than a tenth"
+    chosen, reason = fit_wrench(used)
+    return replace(model, of_wrench=chosen), f"{chosen.name}: {reason}"
 
 
 def _refine(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +13,6 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from socket_testbed import documents
-from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
@@ -23,123 +21,44 @@ from socket_testbed.identification.fit import (
     QUOTED,
     ChannelErrors,
     Fit,
-    predictions,
+    FittedModel,
     summarise_errors,
 )
-from socket_testbed.samples import Samples
+from socket_testbed.identification.wrench import (
+    FEATURES,
+    MAX_SUPPORT,
+    MotionMemory,
+    WrenchModel,
+)
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 from socket_testbed.tables import split_unit
 
-_FORMAT = "socket_testbed model 1"
+_FORMAT = "socket_testbed model 2"
+_FORMATS = ("socket_testbed model 1", _FORMAT)  # readable ones; the first knew no memory
 _AGAIN = "fit the trial again"
 
 
-@dataclass(frozen=True)
-class StoredModel:
-    """A model read from its file.
-
-    Attributes:
-        model: The contact model.
-        geometry: Geometry of the socket it was fitted on.
-        settings: Settings of its fit.
-        samples: Number of samples of its fit.
-        first_stamp: Time of the oldest of these samples since the epoch [ns]; 0 in a model of an
-            older version.
-        last_stamp: Time of the newest of these samples since the epoch [ns].
-        wrench_rmse: RMSE of the wrench [M; F] in {S} on the samples of the fit, shape (6,)
-            [N m, N]; NaN for a channel without values.
-        errors: Errors of its fit on every channel; empty in a model of an older version.
-        status: Solver and certificate of both stages and of their refinement, in words.
-        trial: Name of the trial it was fitted on.
-        fingerprint: Fingerprint of that trial; empty in a model of an older version.
-        unloaded: Start and end of the spans in which the limb was unloaded, used to correct the
-            clusters' drift, since the first sample of the trial [s].
-        segment: The segment of the fit, such as `plateau 12.00 s to 31.50 s`; empty in a model of
-            an older version.
-    """
-
-    model: ContactModel
-    geometry: SocketGeometry
-    settings: IdentificationSettings
-    samples: int
-    first_stamp: int
-    last_stamp: int
-    wrench_rmse: FloatArray
-    errors: tuple[ChannelErrors, ...]
-    status: str
-    trial: str
-    fingerprint: str
-    unloaded: tuple[tuple[float, float], ...]
-    segment: str
-
-    def predictions(self, samples: Samples) -> FloatArray:
-        """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
-
-        The poses of the N samples are averaged as in the fit.
-        """
-        return predictions(samples, self.model, self.settings.pose_smoothing)
-
-    def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
-        """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.
-
-        Args:
-            trial: Name of the trial, which identifies it for a model of an older version.
-            fingerprint: Fingerprint of the trial, which identifies it otherwise.
-            samples: N samples of the trial, of which the stamps matter.
-        """
-        stamps = samples.stamps
-        same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
-        own = same and self.last_stamp in stamps
-        return own & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
-
-    def __repr__(self) -> str:
-        return (
-            f"StoredModel({self.model.variant} of {self.trial}, {self.samples} samples,"
-            f" {len(self.geometry)} tiles)"
-        )
-
-    def require_socket(self, geometry: SocketGeometry) -> None:
-        """Check that the model was fitted on this socket.
-
-        Raises:
-            ConfigurationError: If the tiles differ, or a cluster is on another tile or has another
-                area.
-        """
-        if not self.geometry.same_tiles(geometry):
-            raise ConfigurationError(
-                f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
-                f" tiles) than the one that it is used on ({len(geometry)} tiles)",
-                "fit a model on this socket, or give the socket.yaml of the model's trial",
-            )
-        own = self.geometry
-        for name in own.clusters.keys() & geometry.clusters.keys():
-            tile, other = own.clusters[name], geometry.clusters[name]
-            if tile != other or not np.isclose(own.areas[tile], geometry.areas[other]):
-                raise ConfigurationError(
-                    f"{name} had another tile or area in the socket of the model of {self.trial}",
-                    "fit the model again with this socket.yaml",
-                )
-
-
-def write_model(
-    fit: Fit, geometry: SocketGeometry, trial: dict[str, Any], segment: str, path: Path
-) -> None:
-    """Write a model fitted on a segment as JSON, replacing an older file.
+def write_model(fit: Fit, path: Path, trial: Mapping[str, Any] | None = None) -> None:
+    """Write a fitted model as JSON, replacing an older file.
 
     Args:
-        fit: The fit of the model.
-        geometry: The socket of the fit.
-        trial: Identity of the trial, with at least its `name` and `fingerprint`, and the
-            `unloaded` spans used to correct drift, in pairs [s], if any.
-        segment: The segment of the fit, in words.
+        fit: The fit, which knows its trial, socket and segment.
         path: The file to write.
+        trial: What else identifies the trial, by name, such as its number of `samples`; None for
+            nothing.
     """
+    identity = {
+        "name": fit.trial,
+        "fingerprint": fit.fingerprint,
+        "unloaded": fit.unloaded,
+        **(trial or {}),
+    }
     document = {
         "format": _FORMAT,
-        "trial": trial,
-        "segment": segment,
+        "trial": identity,
+        "segment": fit.segment,
         "settings": fit.settings.to_flat(),
-        "geometry": geometry.to_document(),
+        "geometry": fit.geometry.to_document(),
         "parameters": _parameters(fit.model),
         "quality": {
             "samples": fit.samples,
@@ -158,6 +77,8 @@ def write_model(
 
 
 _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wrench_slope")
+_REGRESSION = ("reference_pose", "slope", "constant", "deviation")
+_SCALES = ("scale", "spread")  # infinite for what did not move
 
 
 def _parameters(model: ContactModel) -> dict[str, Any]:
@@ -166,7 +87,20 @@ def _parameters(model: ContactModel) -> dict[str, Any]:
     found["force_bias"] = {name: documents.plain(bias) for name, bias in model.force_bias.items()}
     found["clusters"] = list(model.cluster_points)
     if model.of_wrench is not None:
-        found["of_wrench"] = _parameters(model.of_wrench)
+        found["of_wrench"] = _wrench_parameters(model.of_wrench)
+    return found
+
+
+def _wrench_parameters(of_wrench: WrenchModel) -> dict[str, Any]:
+    """A predictor of the wrench for JSON; null stands for the scale of what did not move."""
+    found = {name: documents.plain(getattr(of_wrench, name)) for name in _REGRESSION}
+    found["memory"] = None
+    if of_wrench.memory is not None:
+        memory = {n: documents.plain(value) for n, value in vars(of_wrench.memory).items()}
+        fields = [field.name for field in dataclasses.fields(MotionMemory)]
+        found["memory"] = {name: memory[name] for name in fields}
+        for name in _SCALES:
+            found["memory"][name] = [*map(documents.finite_or_null, memory[name])]
     return found
 
 
@@ -197,7 +131,50 @@ _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Second = Annotated[float, Meta(ge=-documents.FINITE, le=documents.FINITE)]
 _Figure = _Second | None  # JSON has no NaN
 _Three = tuple[_Parameter, _Parameter, _Parameter]
+_Positive = Annotated[float, Meta(gt=0.0, le=1e9)]
 _Six = tuple[_Parameter, _Parameter, _Parameter, _Parameter, _Parameter, _Parameter]
+_SixPositive = Annotated[list[_Positive], Meta(min_length=6, max_length=6)]
+_Scales = Annotated[list[_Positive | None], Meta(min_length=6, max_length=6)]
+_Features = Annotated[list[_Parameter], Meta(min_length=FEATURES, max_length=FEATURES)]
+_Spreads = Annotated[list[_Positive | None], Meta(min_length=FEATURES, max_length=FEATURES)]
+
+
+class _Memory(documents.Document):
+    scale: _Scales
+    centre: _Features
+    spread: _Spreads
+    support: Annotated[list[_Features], Meta(min_length=1, max_length=MAX_SUPPORT)]
+    left: list[_Six]
+    length: _Positive
+    noise: Annotated[float, Meta(gt=0.0, le=1.0)]
+    deviation: _SixPositive
+    widening: _SixPositive
+
+    def memory(self, where: str) -> MotionMemory:
+        """The memory of a predictor of the wrench."""
+        if len(self.left) != len(self.support):
+            fact = f"{where}: left has {len(self.left)} rows for {len(self.support)} support points"
+            raise ConfigurationError(fact, _AGAIN)
+        arrays: dict[str, Any] = {
+            name: np.array(getattr(self, name), float) for name in self.__struct_fields__
+        }
+        for name in _SCALES:
+            arrays[name][np.isnan(arrays[name])] = np.inf
+        return MotionMemory(**arrays | {"length": self.length, "noise": self.noise})
+
+
+class _OfWrench(documents.Document):
+    reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place]
+    slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six]
+    constant: _Six
+    deviation: _Six
+    memory: _Memory | None = None
+
+    def predictor(self, where: str) -> WrenchModel:
+        """The predictor of the wrench."""
+        regression = {name: np.array(getattr(self, name)) for name in _REGRESSION}
+        memory = None if self.memory is None else self.memory.memory(f"{where}: memory")
+        return WrenchModel(**regression, memory=memory)
 
 
 class _Parameters(documents.Document):
@@ -212,7 +189,7 @@ class _Parameters(documents.Document):
     reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
     wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
     parameter_factor: Any = None  # in older files, unused
-    of_wrench: _Parameters | None = None
+    of_wrench: dict[str, Any] | None = None
 
     def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
         """The contact model on a socket's tiles."""
@@ -228,8 +205,8 @@ class _Parameters(documents.Document):
                 raise ConfigurationError(fact, _AGAIN)
         of_wrench = None
         if self.of_wrench is not None:
-            of_wrench = self.of_wrench.model(geometry, f"{where}: of_wrench")
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+            of_wrench = _predictor(self.of_wrench, geometry, f"{where}: of_wrench")
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         return ContactModel(
             variant=self.variant,
             names=geometry.names,
@@ -241,6 +218,24 @@ class _Parameters(documents.Document):
             of_wrench=of_wrench,
             **{name: np.array(value) for name, value in arrays.items() if value is not None},
         )
+
+
+def _predictor(data: dict[str, Any], geometry: SocketGeometry, where: str) -> WrenchModel:
+    """The predictor of the wrench; a regression of format 1 was written as a bed of no stiffness.
+
+    Args:
+        data: Its part of the document.
+        geometry: The socket of the model.
+        where: Start of every error.
+    """
+    if "stiffness" not in data:
+        return documents.convert(data, _OfWrench, where).predictor(where)
+    old = documents.convert(data, _Parameters, where).model(geometry, where)
+    if old.stiffness.any():
+        fact = f"{where}: the wrench is predicted by a second bed, as in an older version"
+        raise ConfigurationError(fact, _AGAIN)
+    unknown = np.full(6, np.nan)
+    return WrenchModel(old.reference_pose, old.wrench_slope, old.wrench_bias, unknown)
 
 
 class _Quality(Struct):  # the certificates are for human readers
@@ -268,7 +263,7 @@ class _Model(documents.Document):
     segment: str = ""
 
 
-def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
+def read_model(path: Path, geometry: SocketGeometry | None = None) -> FittedModel:
     """Read a model that `write_model` wrote.
 
     Args:
@@ -284,7 +279,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         raise ConfigurationError(error.fact, "give a file that 'fit' wrote") from None
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
-    if data["format"] != _FORMAT:
+    if data["format"] not in _FORMATS:
         fact = f"{path}: is of the format {documents.shown(data['format'])}"
         raise ConfigurationError(fact, _AGAIN)
     document = documents.convert(data, _Model, str(path))
@@ -292,7 +287,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     fitted_on = socket_from_document(document.geometry, f"{path}: geometry")
     # JSON has null in place of NaN.
     errors = [{k: math.nan if v is None else v for k, v in e.items()} for e in quality.errors]
-    stored = StoredModel(
+    found = FittedModel(
         model=document.parameters.model(fitted_on, f"{path}: parameters"),
         geometry=fitted_on,
         settings=IdentificationSettings.from_flat(document.settings, f"{path}: settings"),
@@ -308,5 +303,5 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         segment=document.segment,
     )
     if geometry is not None:
-        stored.require_socket(geometry)
-    return stored
+        found.require_socket(geometry)
+    return found

@@ -10,7 +10,7 @@ from socket_testbed.arrays import FloatArray, evenly, sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.pages import document
-from socket_testbed.results.pressure import mapped_trial
+from socket_testbed.results.pressure import map_trial
 from socket_testbed.trials.trial import Trial
 
 _COURSE_SAMPLES = 400
@@ -30,7 +30,7 @@ class Player:
                 which the page shows the wrench; None without a model.
         """
         self._samples = samples = trial.samples()
-        self._mapped = mapped_trial(trial, trial.estimator)
+        self._mapped = map_trial(trial, trial.estimator)
         self._data = document.check_card(trial.problems(), trial.notes)
         nothing = np.full((len(samples), 6), np.nan)
         self._predicted = nothing if predicted is None else predicted[:, :6]
@@ -62,6 +62,7 @@ class Player:
             `document`.
         """
         at, samples, mapped = time or 0.0, self._samples, self._mapped
+        geometry = mapped.trial.geometry
         row = sample_at(samples.time, at)
         if row is None or not measured_rows(mapped.samples[row : row + 1])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
@@ -69,12 +70,12 @@ class Player:
         one = slice(row, row + 1)
         found = mapped.outputs(one)
         pressure = found.estimate.normal_pressure[0]
-        measured = document.measured_pressure(found.samples, mapped.geometry)[0]
+        measured = document.measured_pressure(found.samples, geometry)[0]
         shown = document.cards(
-            mapped.geometry, mapped.places, found.regions, pressure, measured, " at this moment"
+            geometry, mapped.places, found.regions, pressure, measured, " at this moment"
         )
         return {
-            "moment": document.moments(samples.time[one], found, mapped.geometry)[0],
+            "moment": document.moments(samples.time[one], found, geometry)[0],
             "cards": [*shown, self._data],
             "bars": document.bars(mapped.places, found.regions, {_INTEGRAL: self._integral}),
             "wrench": document.wrench_rows(samples.wrench[row], self._predicted[row]),

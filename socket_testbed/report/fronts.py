@@ -31,7 +31,7 @@ from socket_testbed.identification.pareto import (
 )
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import ReportFigure, Section
-from socket_testbed.report.results import Results
+from socket_testbed.results.report import Results
 from socket_testbed.tables import Table
 
 _MARKS: dict[str, dict[str, Any]] = {

@@ -3,44 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.figures.channels import FORCES_FIRST, wrench_figure
 from socket_testbed.figures.style import (
     LINE_STYLES,
-    MEASURED_STYLE,
     SEGMENT_STYLE,
     THINNED,
     FigureStyle,
     add_legend,
-    in_style,
-    lay_out,
     panels,
     thin,
-    wrap,
 )
 from socket_testbed.figures.tiles import tile_map_figure
-from socket_testbed.identification.fit import QUOTED, REGRESSION, ChannelErrors, summarise_errors
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.results import Candidate, Results
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit, mean_and_sigma
+from socket_testbed.results.models import Evaluation
+from socket_testbed.results.report import GIVEN, Results
+from socket_testbed.samples import WRENCH_CHANNELS, channel_unit, mean_and_sigma
 from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
-from socket_testbed.trials.segment import Segment
 
 ERRORS_FILE = "errors.csv"  # in the folder of every report, which it marks as one
 
-_PANEL_HEIGHT, _KEY_LINE = 30.0, 3.1  # [mm]; panel without its key; line of the key
-_NAME_WIDTH = 26.0  # [mm]; longest line of a name above a panel
 _SERIES_HEIGHT = 68.0  # [mm]; two panels over time with their key
-_QUANTITIES = {"N m": "moment", "N": "force"}
-_FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # forces above, moments below
 _MEASURES = {"RMSE": "rmse", "MAE": "mae", "sigma": "sigma", "skill [-]": "skill"}
 
 
@@ -58,31 +52,32 @@ def describe_models(results: Results) -> list[str]:
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
         f" {number(moment)} N m. Errors over it are {results.judged_on}, those over the rest"
         " held-out.",
-        *(_describe(candidate) for candidate in results.candidates),
+        *(_describe(label, found) for label, found in results.candidates.items()),
     ]
 
 
-def _describe(candidate: Candidate) -> str:
+def _describe(label: str, candidate: Evaluation) -> str:
     parts = []
     segment = "in-sample" if candidate.in_sample else "over the segment"
     for title, errors in ((segment, candidate.errors), ("held-out", candidate.held_out)):
         if errors:
             found = summarise_errors(errors)
             parts.append(f"{title}: {found.in_words()}, median skill {number(found.skill, 'z.2f')}")
-    of_wrench = candidate.model.of_wrench
-    offset = float(np.linalg.norm(candidate.model.wrench_bias[3:]))
+    model = candidate.model.model
+    of_wrench = model.of_wrench
+    offset = float(np.linalg.norm(model.wrench_bias[3:]))
     if of_wrench is not None:
-        springs = f"springs of sharpness {of_wrench.sharpness:g} /m"
-        kind = springs if of_wrench.stiffness.any() else REGRESSION
-        parts.append(f"its wrench is predicted by {kind}, not by the springs on the tiles")
+        parts.append(
+            f"its wrench is predicted by {of_wrench.name}, not by the springs on the tiles"
+        )
     elif offset > 0.0:
         parts.append(f"its constant force, carried by no tile, {number(offset)} N")
-    return f"{candidate.label}: {'; '.join(parts)}."
+    return f"{label}: {'; '.join(parts)}."
 
 
 def wrench_section(results: Results) -> Section:
     """The section on the wrench."""
-    figure = _channels(results, "wrench", "Measured and predicted wrench", _FORCES_FIRST)
+    figure = _channels(results, "wrench", "Measured and predicted wrench", FORCES_FIRST)
     return Section("wrench", "Wrench", [figure])
 
 
@@ -117,10 +112,10 @@ def errors_section(results: Results) -> Section:
         _errors(
             "errors",
             f"Errors over the segment ({results.judged_on}), in the unit of the channel",
-            {candidate.label: candidate.errors for candidate in results.candidates},
+            {label: found.errors for label, found in results.candidates.items()},
         ),
     ]
-    judged = {candidate.label: candidate.held_out for candidate in results.candidates}
+    judged = {label: found.held_out for label, found in results.candidates.items()}
     held_out = {label: errors for label, errors in judged.items() if errors}
     if held_out:
         caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
@@ -132,7 +127,7 @@ def errors_section(results: Results) -> Section:
         ]
     every = pd.DataFrame(
         {
-            "model": candidate.label,
+            "model": label,
             "samples of": part,
             "channel": error.name,
             "unit of RMSE, MAE, sigma": error.unit,
@@ -140,8 +135,8 @@ def errors_section(results: Results) -> Section:
             "samples [1]": error.samples,
             **{title: getattr(error, field) for title, field in _MEASURES.items()},
         }
-        for candidate in results.candidates
-        for part, errors in (("segment", candidate.errors), ("rest", candidate.held_out))
+        for label, found in results.candidates.items()
+        for part, errors in (("segment", found.errors), ("rest", found.held_out))
         for error in errors
     )
     return Section("errors-section", "Errors", parts, {ERRORS_FILE: every})
@@ -180,23 +175,19 @@ def _remark(labels: Sequence[str], errors: Sequence[ChannelErrors]) -> str:
     return f"not in objective of {', '.join(left_out)}"
 
 
-Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
-"""A model's label, its predictions for all samples, shape (N, 6 + 3c) [N m, N], and its errors."""
-
-
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
     samples, measured = results.samples, results.samples.trusted_values
     columns: dict[str, FloatArray] = {}
     charts = []
     for i in channels:
         channel, unit = samples.channels[i], channel_unit(samples.channels[i])
-        predicted = {c.label: c.predicted[:, i] for c in results.candidates}
+        predicted = {label: found.predicted[:, i] for label, found in results.candidates.items()}
         columns[f"{channel} measured [{unit}]"] = measured[:, i]
         for label, values in predicted.items():
             columns[f"{channel} predicted {label} [{unit}]"] = values
         lines = {"measured": measured[:, i]} | predicted
         charts.append({"title": f"{channel} [{unit}]", "lines": lines})
-    models = [(c.label, c.predicted, c.errors) for c in results.candidates]
+    models = [(label, found.predicted, found.errors) for label, found in results.candidates.items()]
     heading = results.title(title)
     return ReportFigure(
         name,
@@ -205,64 +196,6 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         results.series(columns),
         line_chart(samples.time, charts, [results.segment]),
-    )
-
-
-@in_style
-def wrench_figure(
-    samples: Samples,
-    segment: Segment,
-    models: Sequence[Shown],
-    title: str,
-    style: FigureStyle,
-    channels: Sequence[int] = _FORCES_FIRST,
-) -> Figure:
-    """Measured and predicted channels, by default those of the wrench.
-
-    One panel per channel: three per row of a page, with errors unless titles are off, or two per
-    row of a column.
-
-    Args:
-        samples: All N samples of a trial with c clusters.
-        segment: The part of the trial that is shaded, over which the errors are.
-        models: At most four models; whether a channel is in the objective is read from the first.
-        title: Title of the figure.
-        style: Print layout.
-        channels: Indices of the channels among `samples.channels`, 0 to 5 + 3c, in the order of the
-            panels; by default forces, then moments.
-    """
-    across, has_errors = 2 if style.is_narrow else 3, style.titles and not style.is_narrow
-    rows = -(-len(channels) // across)
-    key = _KEY_LINE * (2.5 + 2 * len(models)) if has_errors else 0.0
-    figure = style.figure(rows * (_PANEL_HEIGHT + key) + (12.0 if has_errors else 20.0))
-    style.add_title(figure, title)
-    axes, measured = panels(figure, len(channels), across), samples.trusted_values
-    for axis, channel in zip(axes, channels, strict=True):
-        first = models[0][2][channel]
-        axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
-        axis.plot(*thin(samples.time, measured[:, channel]), label="measured", **MEASURED_STYLE)
-        for (label, predicted, errors), look in zip(models, LINE_STYLES, strict=False):
-            described = _key(label, errors[channel]) if has_errors else label
-            axis.plot(*thin(samples.time, predicted[:, channel]), label=described, **look)
-        axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
-        name = first.name + " (not in objective)" * (not first.in_objective)
-        if has_errors:
-            add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
-        else:
-            axis.set_title(wrap(name, _NAME_WIDTH), loc="left", fontweight="bold", parse_math=False)
-    if not has_errors:
-        handles, labels = axes[0].get_legend_handles_labels()
-        add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)
-    return lay_out(figure)
-
-
-def _key(label: str, e: ChannelErrors) -> str:
-    if e.samples == 0:
-        return f"{label}: no errors,\nno value in the span"
-    digits = "z.2f" if abs(e.skill) < 10.0 else "z.0f"
-    return (
-        f"{label}: RMSE {e.rmse:.2f} {e.unit},\nMAE {e.mae:.2f},"
-        f" \N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f}, skill {number(e.skill, digits)}"
     )
 
 
@@ -277,7 +210,8 @@ def surface_section(results: Results) -> Section:
     )
     offsets = _offsets(results)
     caption = "Constant offsets, added to the springs' predictions"
-    if any(candidate.model.of_wrench is not None for candidate in results.candidates):
+    models = [found.model.model for found in results.candidates.values()]
+    if any(model.of_wrench is not None for model in models):
         caption += "; where another model predicts the wrench, its own offsets count"
     shown = Table("offsets", caption, offsets)
     return Section(
@@ -288,22 +222,22 @@ def surface_section(results: Results) -> Section:
     )
 
 
-def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, Any]]:
+def model_values(results: Results, model: ContactModel) -> dict[str, dict[str, Any]]:
     """Parameters of a model on the n tiles for the map, by name.
 
     Args:
         results: The results of the trial, for the limb's mean position.
-        candidate: The model.
+        model: The model.
 
     Returns:
         `values`, n numbers, and their `unit`, by name: stiffnesses [N/m] along x, y and z of {S},
         in the rigid variants of the tile's frame {L}; and rest positions [mm] along these axes
         from the limb's mean position over the segment, or from the reference pose.
     """
-    model, frame = candidate.model, candidate.model.frame
+    frame = model.frame
     kinds = [
         ("stiffness", "N/m", model.stiffness),
-        ("rest position", "mm", _rest_offsets(results, candidate)),
+        ("rest position", "mm", _rest_offsets(results, model)),
     ]
     return {
         f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(column), "unit": unit}
@@ -312,35 +246,35 @@ def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, 
     }
 
 
-def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
+def _rest_offsets(results: Results, model: ContactModel) -> FloatArray:
     """Rest displacements, or rest positions from the mean one of the limb, shape (n, 3) [mm]."""
-    if candidate.model.law.IN_TILES:
-        return 1e3 * candidate.model.rest_positions
+    if model.law.IN_TILES:
+        return 1e3 * model.rest_positions
     mean = np.nanmean(results.samples.position[results.segment.rows], axis=0)
-    return 1e3 * (candidate.model.rest_positions - mean)
+    return 1e3 * (model.rest_positions - mean)
 
 
 def _tile_maps(results: Results) -> Iterator[ReportFigure]:
     """Stiffnesses of every model, and its rest positions unless equal to the previous one's."""
     shown: FloatArray | None = None
-    for candidate in results.candidates:
-        model, label = candidate.model, candidate.label
+    for label, candidate in results.candidates.items():
+        model = candidate.model.model
         name, title = f"tile_stiffness_{label}", f"Stiffness of every tile, model {label}"
-        yield _tile_map(results, candidate, name, title, model.stiffness, "k", "stiffness [N/m]")
+        yield _tile_map(results, model, name, title, model.stiffness, "k", "stiffness [N/m]")
         if shown is None or not np.array_equal(model.rest_positions, shown):
             shown = model.rest_positions
-            shared = candidate.fit is not None and not model.law.IN_TILES
+            shared = label != GIVEN and not model.law.IN_TILES
             name = "rest_positions" if shared else f"rest_positions_{label}"
             whose = "the same for the paper's variants" if shared else f"model {label}"
-            values, title = _rest_offsets(results, candidate), f"Rest positions, {whose}"
+            values, title = _rest_offsets(results, model), f"Rest positions, {whose}"
             origin = "reference pose" if model.law.IN_TILES else "mean limb position"
             quantity = f"rest position from the {origin} [mm]"
-            yield _tile_map(results, candidate, name, title, values, "q_r", quantity)
+            yield _tile_map(results, model, name, title, values, "q_r", quantity)
 
 
 def _tile_map(
     results: Results,
-    candidate: Candidate,
+    model: ContactModel,
     name: str,
     title: str,
     values: FloatArray,
@@ -348,7 +282,7 @@ def _tile_map(
     quantity: str,
 ) -> ReportFigure:
     """Maps of a quantity on the tiles along x, y, z, shape (n, 3)."""
-    geometry, frame = results.trial.geometry, candidate.model.frame
+    geometry, frame = results.trial.geometry, model.frame
     described, unit = split_unit(quantity)
     columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
     columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
@@ -369,7 +303,7 @@ def _by_axis(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
 
 def _engaged_springs(results: Results) -> ReportFigure:
     """Engaged springs of every model, over time and over the socket."""
-    models = {candidate.label: candidate.engagement for candidate in results.candidates}
+    models = {label: found.engagement() for label, found in results.candidates.items()}
     maps = {name: 100.0 * found.time_share.mean(axis=1) for name, found in models.items()}
     columns = [found.columns(f"{label}.springs.") for label, found in models.items()]
 
@@ -409,21 +343,22 @@ def _engaged_springs(results: Results) -> ReportFigure:
 def _engaged_tiles(results: Results) -> pd.DataFrame:
     """Share of time on the segment with each spring engaged, a row per tile."""
     columns: dict[str, Any] = {"tile": results.trial.geometry.names}
-    for candidate in results.candidates:
-        gates = candidate.model.law.GATES
+    for label, candidate in results.candidates.items():
+        gates = candidate.model.model.law.GATES
         axes = ["normal"] if gates == (2,) else ["xyz"[axis] for axis in gates]
-        names = [f"{candidate.label}.{axis} engaged [-]" for axis in axes]
-        columns |= dict(zip(names, candidate.engagement.time_share.T, strict=True))
+        names = [f"{label}.{axis} engaged [-]" for axis in axes]
+        columns |= dict(zip(names, candidate.engagement().time_share.T, strict=True))
     return pd.DataFrame(columns)
 
 
 def _offsets(results: Results) -> pd.DataFrame:
     samples, zero = results.samples, np.zeros(3)
+    models = {label: found.model.model for label, found in results.candidates.items()}
     columns = {
         f"offset {label} [unit of the row]": np.concatenate(
             [model.wrench_bias, *(model.force_bias.get(name, zero) for name in samples.clusters)]
         )
-        for label, model in ((c.label, c.model) for c in results.candidates)
+        for label, model in models.items()
         if model.variant in BIAS_VARIANTS
     }
     units = [channel_unit(name) for name in samples.channels]

@@ -21,9 +21,9 @@ from socket_testbed.identification.pressure import (
 from socket_testbed.pages import document
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
-from socket_testbed.report.results import Results
 from socket_testbed.results.pressure import TrialPressure, by_place
 from socket_testbed.results.pressure_text import cells, limb_cells
+from socket_testbed.results.report import Results
 from socket_testbed.tables import Table, split_unit
 
 _SENTENCE = ["peak pressure [kPa]", "mean pressure [kPa]", "contact area [cm^2]"]
@@ -70,9 +70,9 @@ def page_data(results: Results) -> dict[str, Any]:
         ],
         "bars": document.bars(found.places, outputs.regions),
         "extras": {
-            f"{candidate.label}: {name}": values
-            for candidate in results.candidates
-            for name, values in model_values(results, candidate).items()
+            f"{label}: {name}": values
+            for label, candidate in results.candidates.items()
+            for name, values in model_values(results, candidate.model.model).items()
         },
     }
 

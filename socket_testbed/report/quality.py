@@ -26,11 +26,10 @@ from socket_testbed.figures.style import (
     thin,
 )
 from socket_testbed.files import PARAMETERS_FILE
-from socket_testbed.identification.fit import summarise_errors
+from socket_testbed.identification.fit import Fit, summarise_errors
 from socket_testbed.identification.information import share_warning
-from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
-from socket_testbed.report.results import Results
+from socket_testbed.results.report import GIVEN, Results
 from socket_testbed.samples import Status, force_magnitude
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.description import (
@@ -141,13 +140,15 @@ def list_notes(results: Results) -> Iterator[str]:
     if count := gaps(samples.time).sum():
         yield f"Gaps between triggers: {count}, listed under Data quality."
     inside = int(results.in_segment.sum())
-    unfitted = inside - max(c.fit.samples for c in results.candidates if c.fit is not None)
+    unfitted = inside - max(found.model.samples for found in results.fitted.values())
     if unfitted:
         yield (
             f"{unfitted} of the segment's {inside} samples are not fitted: they lack the limb"
             " position or a wrench channel of the objective."
         )
-    warnings = {c.label: share_warning(c.shares) for c in results.candidates}
+    warnings = {
+        label: share_warning(found.load_shares()) for label, found in results.candidates.items()
+    }
     yield from (f"{label}: {warning}." for label, warning in warnings.items() if warning)
     if results.trial.metadata.side is None:
         yield f"{results.trial.name}: {NO_SIDE}."
@@ -156,7 +157,8 @@ def list_notes(results: Results) -> Iterator[str]:
     bare = [name for name in geometry.clusters if name not in samples.clusters]
     if bare:
         yield f"This trial has no readings of the clusters {', '.join(bare)}."
-    dead = summarise_errors(results.candidates[0].errors).without_value
+    first = next(iter(results.candidates.values()))
+    dead = summarise_errors(first.errors).without_value
     if dead:
         yield f"Never measured over the segment: {', '.join(dead)}."
 
@@ -229,10 +231,10 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
             rows.append((f"calibration of {name}", ", ".join(words) or "see its bench record"))
     if stored.is_file():
         rows.append(("parameters in the trial", _file(stored, given=False)))
-    for candidate in results.candidates:
-        if isinstance(given := candidate.source, StoredModel):
-            described = f"{candidate.model.variant} of {given.trial}; {given.status}"
-            rows.append((f"model {candidate.label}", described))
+    if GIVEN in results.candidates:
+        given = results.candidates[GIVEN].model
+        described = f"{given.model.variant} of {given.trial}; {given.status}"
+        rows.append((f"model {GIVEN}", described))
     versions = {"socket_testbed": __version__} | {name: version(name) for name in _LIBRARIES}
     rows += [(f"version of {name}", found) for name, found in versions.items()]
     return [*rows, ("Python", f"{platform.python_version()} on {platform.system()}")]
@@ -246,8 +248,8 @@ def _file(path: Path, given: bool) -> str:
 
 def _certificates(results: Results) -> Table:
     rows: list[tuple[Any, ...]] = []
-    for candidate in results.candidates:
-        if (fit := candidate.fit) is not None:
+    for label, candidate in results.fitted.items():
+        if isinstance(fit := candidate.model, Fit):
             determined = f"{fit.determined:.0f} of {fit.model.stiffness.size}"
             names = ("1, rest positions", "2, stiffnesses", "joint")
             stages = zip(names, (fit.stage_one, fit.stage_two, fit.joint), strict=True)
@@ -255,7 +257,7 @@ def _certificates(results: Results) -> Table:
                 if solution is not None:
                     found = solution.certificate
                     residuals = found.primal, found.stationarity, found.gap
-                    rows.append((candidate.label, stage, *residuals, solution.solver, determined))
+                    rows.append((label, stage, *residuals, solution.solver, determined))
     for variant, front in results.fronts.items():
         stage = f"front, {int(front.sound.sum())} of {len(front.theta)} solutions sound"
         rows.append((variant, stage, np.nan, front.worst_residual, np.nan, "", ""))

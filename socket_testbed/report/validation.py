@@ -14,7 +14,7 @@ from socket_testbed.figures.style import LINE_STYLES, FigureStyle, in_style, lay
 from socket_testbed.identification import validation
 from socket_testbed.identification.information import MIN_RATIO
 from socket_testbed.report.page import Heading, ReportFigure, Section
-from socket_testbed.report.results import Results
+from socket_testbed.results.report import Results
 from socket_testbed.tables import Table
 
 _COLOURS = {
@@ -110,13 +110,12 @@ def judged_tables(judgements: Sequence[validation.Judgement]) -> Iterator[Table]
 
 def _shares(results: Results) -> Table:
     columns = {
-        (candidate.label, f"{part} [%]"): [
-            100.0 * getattr(share, part) for share in candidate.shares
-        ]
-        for candidate in results.candidates
+        (label, f"{part} [%]"): [100.0 * getattr(share, part) for share in found.load_shares()]
+        for label, found in results.candidates.items()
         for part in ("springs", "offsets", "residual")
     }
-    names = [share.name for share in results.candidates[0].shares]
+    first = next(iter(results.candidates.values()))
+    names = [share.name for share in first.load_shares()]
     frame = pd.DataFrame(columns, index=pd.Index(names, name="measured"))
     formats = dict.fromkeys((title for _, title in columns), "z.0f")
     return Table("shares", "Shares of the measured load over the segment", frame, formats)

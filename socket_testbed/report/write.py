@@ -11,7 +11,7 @@ from socket_testbed.files import PAGES, atomic_output, check_outputs, check_suff
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
-from socket_testbed.report.results import Results
+from socket_testbed.results.report import Results
 from socket_testbed.tables import write_table
 
 # In page order, by the title of their fold; the provenance, which needs the command, comes last.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from socket_testbed.arrays import FloatArray, evenly, sample_at
+from socket_testbed.arrays import FloatArray, IntArray, evenly, sample_at
 from socket_testbed.documents import check_number, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Region, all_regions
@@ -71,6 +71,8 @@ class TrialMap(Result):
             NaN. Clusters are used only where their status is OK.
         force_map: The estimator, its prior weighed by the evidence of the whole trial; `estimate`
             takes any samples of its clusters.
+        places: The R regions of pressure outputs, with their `name` and the indices of their
+            `tiles`; the last one is `socket`, all tiles.
     """
 
     _SCALED = True
@@ -80,6 +82,7 @@ class TrialMap(Result):
     time: FloatArray
     samples: Samples
     force_map: ForceMap
+    places: tuple[Region, ...]
 
     @cached_property
     def estimate(self) -> MapEstimate:
@@ -178,10 +181,75 @@ class TrialMap(Result):
                 f"the map has no sample at {time:g} s",
                 f"give a time between {self.time[0]:.2f} s and {self.time[-1]:.2f} s",
             )
-        when, samples = self.time[row : row + 1], self.samples[row : row + 1]
+        when = float(self.time[row])
         first = self.segment.rows.start + row  # of the trial
-        instant = Segment("instant", float(when[0]), float(when[0]), slice(first, first + 1))
-        return TrialMap(self.trial, instant, when, samples, self.force_map)
+        return self.part(Segment("instant", when, when, slice(first, first + 1)))
+
+    def part(self, segment: Segment) -> TrialMap:
+        """The map of a shorter segment.
+
+        Args:
+            segment: A segment of the same trial, inside the map's own.
+
+        Raises:
+            TrialError: The segment reaches beyond that of the map.
+        """
+        own, rows = self.segment.rows, segment.rows
+        if rows.start < own.start or rows.stop > own.stop:
+            raise TrialError(
+                f"the segment {segment} reaches beyond that of the map, {self.segment}",
+                "give a segment inside it, or map the whole trial",
+            )
+        chosen = slice(rows.start - own.start, rows.stop - own.start)
+        time, samples = self.time[chosen], self.samples[chosen]
+        return replace(self, segment=segment, time=time, samples=samples)
+
+    def outputs(
+        self, rows: slice | IntArray = slice(None), threshold: float = 1e-3 * THRESHOLD
+    ) -> PressureOutputs:
+        """Pressure outputs over some of the samples, as arrays in SI units.
+
+        Args:
+            rows: Rows of `samples`.
+            threshold: Pressure above which a tile is in contact [kPa].
+
+        Raises:
+            TrialError: None of these samples has a wrench or a trusted cluster.
+        """
+        samples, geometry = self.samples[rows], self.trial.geometry
+        return pressure_outputs(self.force_map, samples, geometry, self.places, 1e3 * threshold)
+
+    def pressure(self, threshold: float = 1e-3 * THRESHOLD, share: float = SHARE) -> TrialPressure:
+        """Pressure outputs over the segment of the map, see `TrialPressure`.
+
+        Args:
+            threshold: Pressure above which a tile is in contact [kPa].
+            share: A value is uncertain if its interval reaches farther than this share of it [-].
+
+        Raises:
+            TrialError: No sample has a wrench or a trusted cluster.
+        """
+        outputs = self.outputs(threshold=threshold)
+        return TrialPressure(self.trial, self.segment, self.places, outputs, threshold, share)
+
+    def course(self, most: int, also: Sequence[int] = ()) -> PressureOutputs:
+        """Outputs of the socket at evenly spread samples, at the highest pressure, and at others.
+
+        Without its regions, they take a fifth of the time.
+
+        Args:
+            most: Largest number of evenly spread samples, from the first to the last.
+            also: Rows of further samples.
+
+        Returns:
+            The outputs with the chosen samples in the order of time and one region, the socket.
+        """
+        count = len(self.samples)
+        blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
+        pressures = (self.force_map.estimate(self.samples[rows]).normal_pressure for rows in blocks)
+        highest = np.concatenate([found.max(axis=1) for found in pressures]).argmax()
+        rows = np.union1d(evenly(count, most), [highest, *also])
+        return replace(self, places=self.places[-1:]).outputs(rows)
 
     def draws(self, count: int = 200) -> FloatArray:
         """Joint draws of the stresses on all tiles, for intervals of any function of them.
@@ -317,7 +385,8 @@ class TrialPressure(Result):
     def map(self) -> TrialMap:
         """The force map behind the outputs, of the same segment: 6 kB a sample."""
         found = self.outputs
-        return TrialMap(self.trial, self.segment, self.time, found.samples, found.force_map)
+        samples, force_map = found.samples, found.force_map
+        return TrialMap(self.trial, self.segment, self.time, samples, force_map, self.places)
 
     def rows(self) -> Rows:
         """Every output by part, place and title, such as `("tiles", "distal", "shear [kPa]")`.
@@ -548,82 +617,10 @@ class TrialPressure(Result):
         self.map._draw_into(ax, limits)
 
 
-@dataclass(frozen=True)
-class MappedTrial:
-    """The force map of a trial.
-
-    Attributes:
-        trial: The trial.
-        geometry: The socket with the n tiles of the map, the trial's own or one with other regions.
-        places: The R regions that outputs are for; the last one is the whole socket.
-        force_map: Maps samples to forces on all tiles.
-        samples: The N samples of the trial; outliers and left-out channels are NaN.
-    """
-
-    trial: Trial
-    geometry: SocketGeometry
-    places: tuple[Region, ...]
-    force_map: ForceMap
-    samples: Samples
-
-    def outputs(self, rows: Any, threshold: float = THRESHOLD) -> PressureOutputs:
-        """Outputs over some of the samples.
-
-        Args:
-            rows: Rows of `samples`: a slice, indices, or a mask.
-            threshold: Normal pressure above which a tile is in contact [Pa].
-
-        Raises:
-            TrialError: If none of these samples has a wrench or a trusted cluster.
-        """
-        samples, places = self.samples[rows], self.places
-        return pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
-
-    def over(
-        self, segment: Segment, threshold: float = 1e-3 * THRESHOLD, share: float = SHARE
-    ) -> TrialPressure:
-        """Outputs over a segment of the trial.
-
-        Args:
-            segment: The segment.
-            threshold: Normal pressure above which a tile is in contact [kPa].
-            share: A value is uncertain if its interval reaches farther than this share of it [-].
-
-        Raises:
-            TrialError: If no sample of the segment has a wrench or a trusted cluster.
-        """
-        outputs = self.outputs(segment.rows, 1e3 * threshold)
-        return TrialPressure(self.trial, segment, self.places, outputs, threshold, share)
-
-    def part(self, segment: Segment) -> TrialMap:
-        """The map over a segment of the trial."""
-        time = np.asarray(self.trial.samples().time[segment.rows])
-        return TrialMap(self.trial, segment, time, self.samples[segment.rows], self.force_map)
-
-    def course(self, most: int, also: Sequence[int] = ()) -> PressureOutputs:
-        """Outputs of the socket at evenly spread samples, at the highest pressure, and at others.
-
-        Without its regions, they take a fifth of the time.
-
-        Args:
-            most: Largest number of evenly spread samples, from the first to the last.
-            also: Rows of further samples.
-
-        Returns:
-            The outputs with the chosen samples in the order of time and one region, the socket.
-        """
-        count = len(self.samples)
-        blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
-        pressures = (self.force_map.estimate(self.samples[rows]).normal_pressure for rows in blocks)
-        highest = np.concatenate([found.max(axis=1) for found in pressures]).argmax()
-        rows = np.union1d(evenly(count, most), [highest, *also])
-        return replace(self, places=self.places[-1:]).outputs(rows)
-
-
-def mapped_trial(
+def map_trial(
     trial: Trial, settings: EstimatorSettings, geometry: SocketGeometry | None = None
-) -> MappedTrial:
-    """The force map of a trial, on its own socket or on one with other regions.
+) -> TrialMap:
+    """The force map of a whole trial, with the regions of its own socket or of another.
 
     Args:
         trial: The trial, of which outliers are not used.
@@ -632,15 +629,16 @@ def mapped_trial(
 
     Raises:
         IdentificationError: If the samples are in another unit or frame.
+        TrialError: If the trial holds no sample.
     """
     geometry = geometry or trial.geometry
-    left_out = settings.identification.leave_out
-    checked = trial.checked(left_out)
+    checked = trial.checked(settings.identification.leave_out)
     force_map, samples = checked.force_map(settings.force_map), checked.counted
     seen = np.asarray(np.isfinite(samples.trusted_forces[:, :, 2]).any(axis=0))
     clusters = {name: geometry.clusters[name] for name in compress(samples.clusters, seen)}
     places = all_regions(replace(geometry, clusters=clusters), trial.metadata.side)
-    return MappedTrial(trial, geometry, places, force_map, samples)
+    whole = trial.select("all", settings)
+    return TrialMap(trial, whole, np.asarray(samples.time), samples, force_map, places)
 
 
 def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

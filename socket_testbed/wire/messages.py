@@ -19,9 +19,8 @@ from socket_testbed.samples import Status
 from socket_testbed.wire import cdr, topics
 
 if TYPE_CHECKING:
-    from socket_testbed.identification.fit import Fit
+    from socket_testbed.identification.fit import FittedModel
     from socket_testbed.identification.force_map import MapEstimate
-    from socket_testbed.identification.model_file import StoredModel
     from socket_testbed.identification.pressure import RegionOutputs
 
 WORLD_FRAME = "world"  # of the motion capture
@@ -432,8 +431,8 @@ def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes
     return pack
 
 
-def model_message(fitted: Fit | StoredModel) -> bytes:
-    """A serialised ContactModel of a fit or a stored model, stamped with its newest sample."""
+def model_message(fitted: FittedModel) -> bytes:
+    """A serialised ContactModel of a fitted model, stamped with its newest sample."""
     model = fitted.model
     seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
     stamp = {"sec": seconds, "nanosec": nanoseconds}

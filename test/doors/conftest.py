@@ -9,7 +9,7 @@ from support import results_by_hand, scene
 from support.pages import Page
 
 import socket_testbed as st
-from socket_testbed.report.results import Results
+from socket_testbed.results.report import Results
 from socket_testbed.trials.trial import Trial
 
 

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from support import scene
+from support import results_by_hand, scene
 from support.arrivals import Stage, changes, options_of, plain, write_files
 
 import socket_testbed as st
 from socket_testbed.files import packaged
-from socket_testbed.results.pressure import TrialMap, TrialPressure
+from socket_testbed.identification.fit import FittedModel
+from socket_testbed.results.pressure import TrialMap
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.simulation.sensors import LIKE_PAPER
 from socket_testbed.socket_design.tiling import TilingSettings
@@ -114,9 +115,9 @@ def call_fit(stage: Stage, **options: Any) -> None:
 
     def fitted(samples: Any, geometry: Any, settings: Any) -> Any:
         stage.seen |= {"samples": len(samples)} | settings.to_flat()
-        return SimpleNamespace()
+        return results_by_hand.fit_by_hand(samples, geometry, settings)
 
-    stage.replace("api.models.fit_contact_model", fitted)
+    stage.replace("results.models.fit_contact_model", fitted)
     stage.seen["segment"] = str(st.fit(stage.trial, **options).segment)
 
 
@@ -139,8 +140,8 @@ def call_predict(stage: Stage, **options: Any) -> None:
 def call_evaluate(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
 
-    def predicted(samples: Any, stored: Any) -> Any:
-        stage.seen |= {"predicted": len(samples), "model of": stored.trial}
+    def predicted(stored: Any, samples: Any, past: Any = None) -> Any:
+        stage.seen |= {"predicted": len(samples), "past": len(past), "model of": stored.trial}
         stage.seen["averaged over"] = stored.settings.pose_smoothing
         return np.zeros((len(samples), 18))
 
@@ -148,8 +149,8 @@ def call_evaluate(stage: Stage, **options: Any) -> None:
         stage.seen["pressure of"] = str(segment)
         return "pressure"
 
-    stage.replace("api.models._predictions", predicted)
-    stage.keep("api.models._evaluate", "", "", "judged without", returned=())
+    stage.patch.setattr(FittedModel, "predictions", predicted)
+    stage.keep("results.models.evaluate", "", "", "judged without", returned=())
     stage.replace("api.models.pressure_of", pressures)
     found = st.evaluate(stage.trial, **{"model": "model.json"} | options)
     stage.seen["segment"] = str(found.segment)
@@ -207,17 +208,15 @@ def _stands_for_map(stage: Stage) -> None:
         stage.seen["length of the prior"] = settings.force_map.length
         stage.seen["regions"] = {} if geometry is None else geometry.regions
 
-        def over(segment: Segment, threshold: float, share: float) -> Any:
-            stage.seen["segment"] = str(segment)
-            return TrialPressure(trial, segment, (), None, threshold, share)  # type: ignore[arg-type]
-
         def part(segment: Segment) -> TrialMap:
+            stage.seen["segment"] = str(segment)
             rows, time = segment.rows, trial.samples().time
-            return TrialMap(trial, segment, time[rows], trial.samples()[rows], None)  # type: ignore[arg-type]
+            return TrialMap(trial, segment, time[rows], trial.samples()[rows], None, ())  # type: ignore[arg-type]
 
-        return SimpleNamespace(part=part, over=over)
+        return SimpleNamespace(part=part)
 
-    stage.replace("api.pressure.mapped_trial", mapped)
+    stage.patch.setattr(TrialMap, "outputs", lambda found, threshold: None)
+    stage.replace("api.pressure.map_trial", mapped)
 
 
 @calls
@@ -333,7 +332,7 @@ def call_write_report(stage: Stage, **options: Any) -> None:
         if drawing is not None:
             drawing(2, 3)
 
-    stage.replace("report.results.compute_results", computed)
+    stage.replace("results.report.compute_results", computed)
     stage.replace("report.write.write_report", written)
     stage.keep("report.write.check_page_path", "checked page", "checked for replacement")
     st.write_report(stage.trial, **{"page": "scene.html"} | options)
@@ -539,7 +538,7 @@ CASES: dict[str, Cases] = {
     "predict": {"model": ("other.json", {"model of": "other"})},
     "evaluate": {
         "model": ("other.json", {"model of": "other"}),
-        "segment": ("2:5", {"part": "2:5", "segment": SPAN, "predicted": 13}),
+        "segment": ("2:5", {"part": "2:5", "segment": SPAN, "predicted": 13, "past": 8}),
         "pose_smoothing": (1.5, {"averaged over": 1.5}),
         "pressure": (True, {"pressure of": "all 0.00 s to 23.75 s"}),
     },

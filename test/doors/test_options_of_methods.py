@@ -25,7 +25,14 @@ COVERED = {
     },
     "TrialFit": {"save": {"path"}},
     "Evaluation": {"save": {"path"}},
-    "TrialMap": {"at": {"time"}, "draws": {"count"}},
+    "TrialMap": {
+        "at": {"time"},
+        "draws": {"count"},
+        "part": {"segment"},
+        "outputs": {"rows", "threshold"},
+        "pressure": {"threshold", "share"},
+        "course": {"most", "also"},  # test_read_by_hand.py
+    },
     "TrialPressure": {"save": {"path", "over_time"}, "to_long": {"over_time"}},
     "Comparison": {
         "cells": {"part", "quantity"},
@@ -112,6 +119,29 @@ def test_an_instant_is_the_latest_sample(time: float, row: int, trial: Trial) ->
     assert (instant.segment.kind, instant.segment.rows) == ("instant", slice(row, row + 1))
     assert instant.time.tolist() == [0.25 * row] == [instant.segment.start]
     assert instant.samples.stamps.tolist() == trial.samples().stamps[row : row + 1].tolist()
+
+
+def test_a_part_of_a_map_is_that_of_the_trial(trial: Trial) -> None:
+    part = st.force_map(trial, "2:8").part(trial.select("3:5"))
+    own = st.force_map(trial, "3:5")
+    assert part.segment == own.segment and part.time.tolist() == own.time.tolist()
+    assert part.samples.stamps.tolist() == own.samples.stamps.tolist()
+    pd.testing.assert_frame_equal(part.to_dataframe(), own.to_dataframe())
+
+
+@pytest.mark.parametrize("segment", ["1:5", "3:9", "all"], ids=["before", "after", "all"])
+def test_a_part_beyond_the_map_is_an_error(segment: str, trial: Trial) -> None:
+    with pytest.raises(TrialError, match=r"beyond that of the map, span 2\.00 s to 8\.00 s"):
+        st.force_map(trial, "2:8").part(trial.select(segment))
+
+
+def test_a_map_gives_its_pressure(trial: Trial) -> None:
+    mapped, own = st.force_map(trial, "2:5"), st.pressure(trial, "2:5", threshold=17.0, share=0.3)
+    found = mapped.pressure(17.0, share=0.3)
+    pd.testing.assert_frame_equal(found.regions, own.regions)
+    assert (found.threshold, found.share) == (17.0, 0.3)
+    assert mapped.outputs(slice(2, 4), threshold=17.0).threshold == 17e3
+    assert len(mapped.outputs(slice(2, 4)).samples) == 2
 
 
 @pytest.mark.parametrize("time", [1.9, 5.9], ids=["before", "after"])

@@ -13,13 +13,13 @@ from support.pages import MADE
 
 import socket_testbed as st
 from socket_testbed import api
-from socket_testbed.api import models
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.commands import design, options, results
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import evaluate
 from socket_testbed.report import quality, write
-from socket_testbed.report import results as report_results
+from socket_testbed.results import models
+from socket_testbed.results.report import compute_results
 from socket_testbed.settings.options import TrialFiles
 from socket_testbed.trials.trial import Trial
 
@@ -76,11 +76,11 @@ def test_the_report_fits_with_the_asked_theta(
         return results_by_hand.fit_by_hand(samples, geometry, settings)
 
     results_by_hand.stand_in(monkeypatch)
-    monkeypatch.setattr(report_results, "fit_contact_model", fit)
+    monkeypatch.setattr("socket_testbed.results.models.fit_contact_model", fit)
     trial = Trial(scene_folder)
     asked = replace(trial.estimator.identification, theta=theta)
     settings = replace(trial.estimator, identification=asked)
-    report_results.compute_results(trial, "all", settings, [0.0, 1.0])
+    compute_results(trial, "all", settings, [0.0, 1.0])
     variants = ("stiffness", "stiffness_bias", "rigid_bias")
     assert used == [(variant, theta) for variant in variants]
 

@@ -11,8 +11,9 @@ from support import results_by_hand, scene
 from support.arrivals import Stage, changes
 
 from socket_testbed.identification import validation
-from socket_testbed.report import results
-from socket_testbed.report.results import Results
+from socket_testbed.identification.fit import FittedModel
+from socket_testbed.results.models import judge
+from socket_testbed.results.report import Results, compute_results
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
@@ -47,7 +48,7 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
         stage.seen |= {"fitted": len(samples), "theta": own.theta}
         return results_by_hand.fit_by_hand(samples, geometry, own)
 
-    def predicted(samples: Samples, model: Any, window: float) -> np.ndarray:
+    def predicted(samples: Samples, model: Any, window: float, past: Any = None) -> np.ndarray:
         stage.seen[f"averaged to predict {len(samples)}"] = window
         return np.zeros((len(samples), 18))
 
@@ -70,22 +71,23 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
     def mapped(trial: Trial, own: EstimatorSettings) -> Any:
         stage.seen |= {"prior": own.force_map.length, "map without": own.identification.leave_out}
 
-        def over(segment: Segment) -> Any:
+        def part(segment: Segment) -> Any:
             stage.seen["pressure over"] = str(segment)
-            return SimpleNamespace(outputs=SimpleNamespace(peak_row=5))
+            outputs = SimpleNamespace(peak_row=5)
+            return SimpleNamespace(pressure=lambda: SimpleNamespace(outputs=outputs))
 
         def course(count: int, rows: list[int]) -> None:
             stage.seen["course with"] = rows
 
-        return SimpleNamespace(over=over, course=course)
+        return SimpleNamespace(part=part, course=course)
 
-    stage.replace("report.results.fit_contact_model", fitted)
-    stage.replace("report.results.predictions", predicted)
-    stage.replace("report.results.evaluate", evaluated)
-    stage.replace("report.results.pareto_front", traced)
-    stage.replace("report.results.judge_samples", validated)
-    stage.replace("report.results.mapped_trial", mapped)
-    stage.replace("report.results.smooth_poses", lambda samples, window: (len(samples), window))
+    stage.replace("results.models.fit_contact_model", fitted)
+    stage.replace("identification.fit.predictions", predicted)
+    stage.replace("results.models.evaluate", evaluated)
+    stage.replace("results.report.pareto_front", traced)
+    stage.replace("results.report.judge_samples", validated)
+    stage.replace("results.report.map_trial", mapped)
+    stage.replace("results.models.smooth_poses", lambda samples, window: (len(samples), window))
     for name, places in {
         "measure_motion": ("", "", "averaged to move"),
         "load_shares": ("averaged to share", ""),
@@ -93,7 +95,9 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
     }.items():
         stage.keep(f"identification.information.{name}", *places)
     stage.patch.setattr(Trial, "plateaus", lambda trial, own: [own.plateau.least_force])
-    found = results.compute_results(stage.trial, "2:5", settings, [0.0, 1.0], given)
+    found = compute_results(stage.trial, "2:5", settings, [0.0, 1.0], given)
+    for judged in found.candidates.values():
+        assert judged.held_out and judged.load_shares() is judged.engagement() is None
     stage.seen |= {"plateaus above": found.plateaus, "segment": str(found.segment)}
     stage.seen["notes"] = found.bag_notes
     return stage.seen
@@ -171,11 +175,7 @@ def test_a_given_model_leaves_its_own_out(
     made = results_by_hand.fit_by_hand(
         stage.trial.samples(), stage.trial.geometry, settings_of(leave_out=given).identification
     )
-    unused = np.zeros(96, dtype=bool)
-    model: Any = SimpleNamespace(
-        model=made.model, settings=made.settings, used=lambda *trial: unused
-    )
-    found = computed(stage, settings_of(leave_out=own), model)
+    found = computed(stage, settings_of(leave_out=own), made)
     assert (NOTE in found["notes"]) is noted
 
 
@@ -193,9 +193,8 @@ def test_a_given_model_is_held_out_elsewhere(
     made = results_by_hand.fit_by_hand(
         stage.trial.samples(), stage.trial.geometry, settings_of().identification
     )
-    model: Any = SimpleNamespace(model=made.model, settings=made.settings, used=lambda *trial: rows)
-    segment = Segment("span", 2.0, 5.0, slice(8, 21))
-    found = results._judge(stage.trial, segment, "given", model)
+    stage.patch.setattr(FittedModel, "used", lambda model, *trial: rows)
+    found = judge(stage.trial, made, Segment("span", 2.0, 5.0, slice(8, 21)))
     assert found.held_out[0].samples == judged and found.errors[0].samples == 13
     assert found.in_sample is inside
 
@@ -207,12 +206,11 @@ def test_ten_held_out_samples_of_a_channel_count(
     counts: tuple[int, int], held_out: bool, stage: Stage
 ) -> None:
     errors = tuple(SimpleNamespace(samples=count) for count in counts)
-    stage.replace("report.results.evaluate", lambda *given: errors)
+    stage.replace("results.models.evaluate", lambda *given: errors)
     made = results_by_hand.fit_by_hand(
         stage.trial.samples(), stage.trial.geometry, settings_of().identification
     )
-    segment = Segment("span", 2.0, 5.0, slice(8, 21))
-    found = results._judge(stage.trial, segment, "stiffness", made)
+    found = judge(stage.trial, made, Segment("span", 2.0, 5.0, slice(8, 21)))
     assert found.held_out == (errors if held_out else ())
 
 
@@ -223,7 +221,7 @@ def test_ten_held_out_samples_of_a_channel_count(
 )
 def test_the_relation_of_errors_is_in_words(inside: tuple[bool, ...], words: str) -> None:
     candidates = [SimpleNamespace(in_sample=each) for each in inside]
-    own: Any = SimpleNamespace(candidates=candidates)
+    own: Any = SimpleNamespace(candidates=dict(enumerate(candidates)))
     assert Results.judged_on.fget(own) == words  # type: ignore[attr-defined]
 
 
@@ -247,8 +245,10 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
         calls.append(("fitted", (samples[0], samples[-1]), own.theta))
         return {"rigid": SimpleNamespace()}
 
-    def wrench(samples: Any, predictors: Any, test: str, *names: str) -> list[str]:
-        calls.append((test, samples.tolist(), predictors, *names))
+    def wrench(
+        samples: Any, predictors: Any, test: str, fitted_on: str, tested_on: str, rows: Any
+    ) -> list[str]:
+        calls.append((test, samples[rows].tolist(), predictors, fitted_on, tested_on))
         return [test]
 
     def tiles(samples: Any, geometry: Any, truth: Any, estimators: Any, name: str) -> list[str]:
@@ -291,11 +291,9 @@ def test_judgements_are_made_with_the_settings(stage: Stage) -> None:
         ("split", 35.0),
         ("clusters", 0.05, 35.0, "scene"),
         ("fitted", (0, 19), 0.25),
-        ("averaged", (0, 19), 1.5),
-        ("averaged", (20, 39), 1.5),
+        ("averaged", (0, 39), 1.5),
         ("in-sample", [0, 9, 19], "of 0: 19", "scene", "scene"),
         ("second half", [20, 29, 39], "of 0: 19", "scene", "scene"),
-        ("averaged", (0, 39), 1.5),
         ("prior", 0.05),
         ("tiles", [20, 29, 39], [120, 129, 139], ["map", "rigid"], "scene"),
     ]
@@ -313,18 +311,20 @@ def test_an_unseen_half_has_the_settings(stage: Stage) -> None:
         calls.append(("fitted", len(samples), own.theta))
         return SimpleNamespace(model="a model")
 
-    def smooth(samples: Samples, window: float) -> str:
-        calls.append(("averaged", len(samples), window))
-        return "averaged"
+    def predicted(samples: Samples, model: Any, window: float, past: Any = None) -> Any:
+        calls.append((model, len(samples), window))
+        return np.arange(96)
 
     stage.patch.setattr(validation, "split", split)
     stage.patch.setattr(validation.fit, "fit_contact_model", fit)
-    stage.patch.setattr(validation, "smooth_poses", smooth)
+    stage.patch.setattr(validation.fit, "predictions", predicted)
     stage.patch.setattr(validation.fit, "evaluate", lambda *given: given)
     own = settings_of(pose_smoothing=1.5, theta=0.25, leave_out=WITHOUT).identification
     found = validation.judge_unseen_half(stage.trial.samples(), stage.trial.geometry, own)
-    assert found == ("averaged", "a model", WITHOUT)
-    assert calls == [("split", 0.0), ("fitted", 40, 0.25), ("averaged", 56, 1.5)]
+    samples, values, left_out = found
+    assert len(samples) == 56 and left_out == WITHOUT  # type: ignore[arg-type, comparison-overlap]
+    assert values.tolist() == [*range(40, 96)]  # type: ignore[attr-defined]
+    assert calls == [("split", 0.0), ("fitted", 40, 0.25), ("a model", 96, 1.5)]
 
 
 @pytest.mark.parametrize("least_force", [20.0, 70.0])

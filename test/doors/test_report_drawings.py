@@ -65,10 +65,11 @@ def test_a_gap_is_not_usable(overview: Figure) -> None:
 def test_samples_that_no_variant_fits_are_noted(
     used: tuple[int, int], note: str | None, report
 ) -> None:
-    candidates = tuple(
-        replace(candidate, source=replace(candidate.source, samples=count))
-        for candidate, count in zip(report.results.candidates, used, strict=False)
-    )
+    pairs = zip(report.results.candidates.items(), used, strict=False)
+    candidates = {
+        label: replace(found, model=replace(found.model, samples=count))
+        for (label, found), count in pairs
+    }
     results = replace(report.results, candidates=candidates)
     found = [line for line in quality.list_notes(results) if " not fitted" in line]
     assert [line.split(" are not")[0] for line in found] == ([note] if note else [])

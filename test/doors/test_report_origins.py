@@ -12,8 +12,8 @@ from support.results_by_hand import tile
 
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.report import pressure, quality
-from socket_testbed.report.results import Results
 from socket_testbed.results.pressure import TrialPressure
+from socket_testbed.results.report import Results
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
 

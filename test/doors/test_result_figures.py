@@ -21,7 +21,6 @@ from support.benches import bench_of
 import socket_testbed as st
 from socket_testbed.api.cycles import Cycles
 from socket_testbed.api.design import CalibratedCluster
-from socket_testbed.api.models import Evaluation, TrialFit
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.api.validation import Validation
 from socket_testbed.calibration.bench_data import STRESSES
@@ -29,6 +28,7 @@ from socket_testbed.calibration.calibrate import BenchCalibration, CrossValidati
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.figures.style import COLUMN
+from socket_testbed.results.models import Evaluation, TrialFit
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 
@@ -188,9 +188,12 @@ def judged(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Evaluation
 def fitted(trial: Trial, judged: Evaluation) -> TrialFit:
     """With the errors of another model, which are known."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("socket_testbed.api.models.fit_contact_model", results_by_hand.fit_by_hand)
+        patch.setattr(
+            "socket_testbed.results.models.fit_contact_model", results_by_hand.fit_by_hand
+        )
         found = st.fit(trial, "all", variant="stiffness_bias")
-    return replace(found, fit=replace(found.fit, errors=judged.errors))
+    rmse = np.array([error.rmse for error in judged.errors[:6]])
+    return replace(found, fit=replace(found.fit, errors=judged.errors, wrench_rmse=rmse))
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +245,7 @@ def test_a_fit_names_trial_part_and_scale(drawn_fit: Figure) -> None:
 
 def test_a_saved_fit_names_its_trial(fitted: TrialFit, trial: Trial, tmp_path: Path) -> None:
     fitted.save(tmp_path / "model.json")
-    for found in (st.read_model(tmp_path / "model.json"), fitted.stored()):
+    for found in (st.read_model(tmp_path / "model.json"), fitted.fit):
         assert (found.trial, found.segment) == ("scene", "all 0.00 s to 23.75 s")
         assert (found.first_stamp, found.last_stamp) == (scene.STAMPS[0], scene.STAMPS[-1])
         assert (found.samples, found.status) == (96, fitted.fit.status)

@@ -337,7 +337,7 @@ def fit_lines(
     """What `fit` prints of a model by hand: see `support.results_by_hand`."""
     output = tmp_path_factory.mktemp("fit") / "model.json"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("socket_testbed.api.models.fit_contact_model", known_fit)
+        patch.setattr("socket_testbed.results.models.fit_contact_model", known_fit)
         words = ["fit", scene_folder, "-o", output, "--segment", "all", "--variant", "stiffness"]
         return printed(*words)
 

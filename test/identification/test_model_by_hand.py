@@ -12,8 +12,8 @@ from support import scene
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification import model_file
-from socket_testbed.identification.fit import ChannelErrors
-from socket_testbed.identification.model_file import StoredModel, read_model
+from socket_testbed.identification.fit import ChannelErrors, FittedModel
+from socket_testbed.identification.model_file import read_model
 
 NAN = float("nan")
 GEOMETRY = scene.geometry()
@@ -25,7 +25,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def stored(path: Path) -> StoredModel:
+def stored(path: Path) -> FittedModel:
     return read_model(path, GEOMETRY)
 
 
@@ -36,7 +36,7 @@ def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     return path
 
 
-def test_a_model_keeps_its_fit(stored: StoredModel) -> None:
+def test_a_model_keeps_its_fit(stored: FittedModel) -> None:
     assert (stored.samples, stored.trial, stored.status) == (96, "another", "made by hand")
     assert (stored.first_stamp, stored.last_stamp) == (scene.STAMPS[0], scene.STAMPS[-1])
     assert stored.segment == "all 0.00 s to 23.75 s" and stored.fingerprint == ""
@@ -46,10 +46,10 @@ def test_a_model_keeps_its_fit(stored: StoredModel) -> None:
     assert stored.model.force_bias["mid_anterior"].tolist() == [-2.7, 3.6, -36.0]
     assert stored.model.sharpness == 2000.0 and stored.model.frame == "{S}"
     assert stored.model.cluster_points == GEOMETRY.clusters
-    assert repr(stored) == "StoredModel(stiffness_bias of another, 96 samples, 12 tiles)"
+    assert repr(stored) == "FittedModel(stiffness_bias of another, 96 samples, 12 tiles)"
 
 
-def test_a_rigid_model_is_in_tiles(stored: StoredModel) -> None:
+def test_a_rigid_model_is_in_tiles(stored: FittedModel) -> None:
     assert replace(stored.model, variant="rigid").frame == "the tile's frame"
 
 
@@ -90,7 +90,7 @@ USED = {
 
 
 @pytest.mark.parametrize("case", USED)
-def test_seen_samples_are_of_its_trial(case: str, stored: StoredModel) -> None:
+def test_seen_samples_are_of_its_trial(case: str, stored: FittedModel) -> None:
     own, trial, fingerprint, rows = USED[case]
     stamps = scene.STAMPS
     model = replace(

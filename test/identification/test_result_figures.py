@@ -124,10 +124,8 @@ def test_the_table_of_errors_has_its_titles() -> None:
 
 def test_the_status_names_both_stages() -> None:
     one, two, joint = (SimpleNamespace(status=f"solved {name}") for name in "abc")
-    found = fit.Fit(None, None, 9, 1, 2, 3.0, COUNTED, one, two, None, "")
-    assert found.status == "stage 1 solved a; stage 2 solved b"
-    assert replace(found, joint=joint).status == "stage 1 solved a; stage 2 solved b; solved c"
-    assert found.wrench_rmse.tolist() == [1, 3, 100, 2, 4, pytest.approx(NAN, nan_ok=True)]
+    assert fit._status(one, two, None) == "stage 1 solved a; stage 2 solved b"
+    assert fit._status(one, two, joint) == "stage 1 solved a; stage 2 solved b; solved c"
 
 
 # --- a front

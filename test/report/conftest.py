@@ -9,7 +9,7 @@ from support.bags import rewrite
 from support.pages import NASTY, THETAS
 
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.report.results import Results, compute_results
+from socket_testbed.results.report import Results, compute_results
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, write_metadata
 from socket_testbed.trials.trial import Trial
 

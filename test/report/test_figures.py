@@ -16,8 +16,8 @@ from support.problems import random_socket, ring_socket
 
 from socket_testbed.figures import style
 from socket_testbed.figures.tiles import tile_map_figure
-from socket_testbed.report.results import Results
 from socket_testbed.report.write import SECTIONS
+from socket_testbed.results.report import Results
 
 NASTY, UNIT = "a$_b <i>", "pressure [kPa]"
 

@@ -24,8 +24,8 @@ from socket_testbed.report import fronts, validation, write
 from socket_testbed.report.page import Pictures, Section, write_page, write_socket_page
 from socket_testbed.report.pressure import page_data
 from socket_testbed.report.quality import list_notes
-from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.write import check_page_path, summarise, write_report
+from socket_testbed.results.report import GIVEN, Results, compute_results
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.description import describe_samples, drop_outs
 from socket_testbed.trials.trial import Trial
@@ -42,19 +42,20 @@ def results_of(trial: Trial, *leave_out: str, segment="plateau", frames=0) -> Re
 
 
 def test_a_report_judges_each_model(results):
-    assert [candidate.label for candidate in results.candidates] == LABELS
+    assert [*results.candidates] == LABELS
 
 
 def test_a_given_model_predicts_as_its_fit(results, hold_model):
     """It was fitted with the same settings on the same segment."""
-    fitted, given = results.candidates[-2:]
-    np.testing.assert_array_equal(given.model.stiffness, read_model(hold_model).model.stiffness)
+    fitted, given = (results.candidates[label] for label in LABELS[-2:])
+    stiffness = read_model(hold_model).model.stiffness
+    np.testing.assert_array_equal(given.model.model.stiffness, stiffness)
     np.testing.assert_allclose(given.predicted, fitted.predicted, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("label", LABELS)
 def test_the_summary_states_a_model_s_errors(label: str, results):
-    candidate = results.candidates[LABELS.index(label)]
+    candidate = results.candidates[label]
     found = {line.partition(": ")[0]: line for line in summarise(results)}
     in_sample, _, held_out = found[label].partition("; held-out: ")
     assert moment_rmse(candidate.errors) in in_sample
@@ -68,7 +69,7 @@ def moment_rmse(errors) -> str:
 
 def test_notes_state_a_model_s_weakness(results):
     """In a hold the offsets bear the load."""
-    share = results.fitted[BIAS].shares[1].springs
+    share = results.fitted[BIAS].load_shares()[1].springs
     only = f"only {100 * share:.0f} %"
     assert any(n.startswith(BIAS) and only in n for n in list_notes(results))
 
@@ -89,7 +90,7 @@ def reduced(spoilt) -> Reduced:
     with pytest.MonkeyPatch.context() as patch:
         place = "socket_testbed.identification.validation.VARIANTS"
         patch.setattr(place, ("stiffness", "stiffness_bias"))
-        patch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
+        patch.setattr("socket_testbed.results.report.pareto_front", lambda *_, **__: {})
         return Reduced(trial, results_of(trial, *Reduced.left_out, frames=60))
 
 
@@ -110,7 +111,7 @@ def test_a_channel_left_out_is_no_finding(reduced):
 
 
 def test_channels_left_out_are_marked(reduced):
-    for candidate in reduced.results.candidates:
+    for candidate in reduced.results.candidates.values():
         assert candidate.held_out
         marked = [error.name for error in candidate.errors if not error.in_objective]
         assert marked == [*reduced.left_out]
@@ -122,7 +123,7 @@ def test_channels_left_out_are_marked(reduced):
 )
 def test_a_given_model_is_judged_on_unused_samples(own, words, hold, hold_model, monkeypatch):
     """It was fitted on the plateau, of this trial or of another."""
-    monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
+    monkeypatch.setattr("socket_testbed.results.report.pareto_front", lambda *_, **__: {})
     trial, model = Trial(hold), read_model(hold_model)
     outside = ~within(trial.samples().time, 20.0, 40.0)
     fingerprint = trial.fingerprint if own else "of another trial"
@@ -130,7 +131,7 @@ def test_a_given_model_is_judged_on_unused_samples(own, words, hold, hold_model,
     found = compute_results(trial, "20:40", trial.estimator, THETAS, given)
     assert any(line.startswith(f"given: {words}: ") for line in summarise(found))
     rest = outside & ~given.used("hold", trial.fingerprint, trial.samples())
-    assert max(e.samples for e in found.candidates[-1].held_out) == rest.sum()
+    assert max(e.samples for e in found.candidates[GIVEN].held_out) == rest.sum()
 
 
 @pytest.mark.usefixtures("few_variants")

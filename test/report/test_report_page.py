@@ -19,10 +19,11 @@ from support.pages import LABELS, MADE, NASTY, Page
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.figures import style
+from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import evaluate, summarise_errors
 from socket_testbed.identification.pressure import TITLES, interval_end
-from socket_testbed.report.results import Candidate, Results
 from socket_testbed.report.write import files_folder, write_report
+from socket_testbed.results.report import Results
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import UNCERTAIN
 
@@ -82,9 +83,8 @@ def test_errors_are_those_of_the_evaluation(table, label, page, page_path, resul
     """On the page and in its file."""
     column, rows, part = LABELS.index(label), page.rows(table), PARTS[table]
     rows_of = results.in_segment if part == "segment" else ~results.in_segment
-    candidate = results.candidates[column]
-    settings = candidate.source.settings
-    errors = evaluate(results.samples[rows_of], candidate.model, settings.leave_out)
+    fitted = results.candidates[label].model
+    errors = evaluate(results.samples[rows_of], fitted.model, fitted.settings.leave_out)
     for error in errors:
         unit, *cells = rows[error.name]
         shown = np.array(cells[4 * column : 4 * column + 4], dtype=float)
@@ -153,14 +153,15 @@ def files(page_path: Path) -> Files:
 
 def test_files_hold_measured_and_predicted_values(files: Files, results: Results):
     samples, measured = results.samples, results.samples.trusted_values
-    errors = results.candidates[0].errors
+    errors = results.candidates[LABELS[0]].errors
     for i, (name, error) in enumerate(zip(samples.channels, errors, strict=True)):
-        found = files["wrench" if i < 6 else "local_forces"]
+        table = files["wrench" if i < 6 else "local_forces"]
         expected = {f"measured [{error.unit}]": measured[:, i]} | {
-            f"predicted {c.label} [{error.unit}]": c.predicted[:, i] for c in results.candidates
+            f"predicted {label} [{error.unit}]": found.predicted[:, i]
+            for label, found in results.candidates.items()
         }
         for column, values in expected.items():
-            np.testing.assert_allclose(found[f"{name} {column}"], values, rtol=1e-9)
+            np.testing.assert_allclose(table[f"{name} {column}"], values, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["wrench", "local_forces", "overview", "engaged_springs"])
@@ -171,8 +172,8 @@ def test_series_have_the_stamps_of_the_samples(name: str, files: Files, results:
     assert (files[name]["in segment"] == 1).tolist() == results.in_segment.tolist()
 
 
-def candidate_of(results: Results, label: str) -> Candidate:
-    return results.candidates[LABELS.index(label)]
+def model_of(results: Results, label: str) -> ContactModel:
+    return results.candidates[label].model.model
 
 
 @pytest.mark.parametrize("label", LABELS)
@@ -180,14 +181,14 @@ def test_files_hold_a_model_s_stiffness(label: str, files: Files, results: Resul
     found = files[f"tile_stiffness_{label}"]
     assert found["tile"].tolist() == list(results.trial.geometry.names)
     axes = found[[f"stiffness {axis} [N/m]" for axis in "xyz"]]
-    np.testing.assert_allclose(axes, candidate_of(results, label).model.stiffness, rtol=1e-9)
+    np.testing.assert_allclose(axes, model_of(results, label).stiffness, rtol=1e-9)
 
 
 @pytest.mark.parametrize("label", LABELS)
 def test_files_hold_the_shares_of_engaged_springs(label: str, files: Files, results: Results):
     shares = files["engaged_tiles"].filter(like=f"{label}.")
     pose = results.samples.pose[results.in_segment]
-    displacement, _ = candidate_of(results, label).model.gate_displacements(pose, np.eye(6))
+    displacement, _ = model_of(results, label).gate_displacements(pose, np.eye(6))
     np.testing.assert_allclose(shares, (displacement < 0.0).mean(axis=0), rtol=1e-9)
 
 
@@ -196,13 +197,13 @@ def test_files_hold_a_model_s_rest_positions(label: str, files: Files, results: 
     """One file for all: the first stage is the same."""
     mean = np.nanmean(results.samples.position[results.in_segment], axis=0)
     rest = files["rest_positions"].filter(like="from the mean limb position")
-    expected = 1e3 * (candidate_of(results, label).model.rest_positions - mean)
+    expected = 1e3 * (model_of(results, label).rest_positions - mean)
     np.testing.assert_allclose(rest, expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("label", [label for label in LABELS if label != PLAIN])
 def test_files_hold_a_model_s_offsets(label: str, files: Files, results: Results):
-    model, samples = candidate_of(results, label).model, results.samples
+    model, samples = model_of(results, label), results.samples
     biases = map(model.force_bias.get, samples.clusters)
     assert files["offsets"]["channel"].tolist() == list(samples.channels)
     shown = files["offsets"][f"offset {label} [unit of the row]"]
@@ -238,7 +239,7 @@ def test_the_map_shows_each_model_s_stiffness(shown, results):
     for name, values in shown["extras"].items():
         label, _, title = name.partition(": ")
         if title.startswith("stiffness along z"):
-            model = candidate_of(results, label).model
+            model = model_of(results, label)
             np.testing.assert_allclose(values["values"], model.stiffness[:, 2], atol=5.1e-3)
 
 

@@ -105,12 +105,15 @@ def fit_by_hand(
     model = rigid_model(geometry) if rigid else paper_model(geometry, settings.variant)
     return Fit(
         model=model,
+        geometry=geometry,
         settings=settings,
         samples=len(samples),
         first_stamp=int(samples.stamps[0]),
         last_stamp=int(samples.stamps[-1]),
         determined=20.0,
+        wrench_rmse=np.full(6, np.nan),
         errors=(),
+        status="solved by hand",
         stage_one=_solution(1e-12, "osqp"),
         stage_two=_solution(2e-11, "warm start"),
         joint=_solution(3e-10, "osqp") if rigid else None,
@@ -214,4 +217,5 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
         "pareto_front": fronts_by_hand,
         "judge_samples": judgements_by_hand,
     }.items():
-        monkeypatch.setattr(f"socket_testbed.report.results.{name}", made)
+        home = "models" if name == "fit_contact_model" else "report"
+        monkeypatch.setattr(f"socket_testbed.results.{home}.{name}", made)

@@ -260,7 +260,7 @@ def mapped(tmp_path_factory: pytest.TempPathFactory) -> Any:
     with pytest.MonkeyPatch.context() as patch:
         scene.stand_in(patch)
         trial = Trial(scene.write(tmp_path_factory.mktemp("scenes") / "scene"))
-        yield pressure.mapped_trial(trial, EstimatorSettings())
+        yield pressure.map_trial(trial, EstimatorSettings())
 
 
 def test_the_course_holds_the_peak_besides(mapped: Any) -> None:
@@ -278,7 +278,7 @@ def test_contact_is_above_the_threshold(threshold: float, area: float, mapped: A
 
     These hold in 45 and 41 of 96 samples; of ten draws, one is 1.96 kPa higher and one lower.
     """
-    found = mapped.outputs(slice(None), threshold)
+    found = mapped.outputs(threshold=1e-3 * threshold)
     names = [place.name for place in mapped.places]
     own = found.regions.area.value[names.index("anterior")]
     assert 1e4 * own == pytest.approx(area, abs=2.0 if threshold > 5e3 else 1e-9)
@@ -286,8 +286,7 @@ def test_contact_is_above_the_threshold(threshold: float, area: float, mapped: A
 
 
 def test_contact_is_told_with_its_threshold(mapped: Any) -> None:
-    segment = mapped.trial.select("all", EstimatorSettings())
-    over = mapped.over(segment, 7.5)
+    over = mapped.pressure(7.5)
     assert over.contact == "in contact: above 7.5 kPa; the integrals cover 23.8 s"
     assert over.peak_time == 12.0 and over.time[[0, -1]].tolist() == [0.0, 23.75]
 

@@ -1,4 +1,4 @@
-"""All results of a report, computed once."""
+"""All results that a report of a trial shows, computed once."""
 
 from __future__ import annotations
 
@@ -12,21 +12,14 @@ from numpy.typing import ArrayLike
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import information
-from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import DataFinding
-from socket_testbed.identification.fit import (
-    ChannelErrors,
-    Fit,
-    evaluate,
-    fit_contact_model,
-    predictions,
-)
-from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.noise import ChannelNoise, smooth_poses
+from socket_testbed.identification.fit import FittedModel
+from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.pressure import PressureOutputs
 from socket_testbed.identification.validation import Judgement, judge_samples
-from socket_testbed.results.pressure import TrialPressure, mapped_trial
+from socket_testbed.results.models import Evaluation, fit_segment, judge
+from socket_testbed.results.pressure import TrialPressure, map_trial
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -35,48 +28,8 @@ from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import read_true_forces
 
 GIVEN = "given"
-_MIN_HELD_OUT = 10  # samples
 _STAGES = 5  # reading, fits, front, validation, pressure
 _PRESSURE_SAMPLES = 150  # of the trial
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A model shown in the report.
-
-    Attributes:
-        label: The variant fitted here, or `given`.
-        source: The fit, or the given model.
-        predicted: Its predictions at all N samples of the trial: wrench [M; F] in {S}, then the
-            force on each of the c clusters in the frame {L} of its tile, shape (N, 6 + 3c)
-            [N m, N]; NaN without a limb pose.
-        errors: Errors of every channel over the segment, in the channel's unit.
-        in_sample: Whether the model was fitted on samples of the segment.
-        held_out: Errors of every channel over the samples that are neither in the segment nor used
-            by the model's fit; empty with fewer than 10 of them.
-        shares: Shares of Fz, force and moment over the segment that springs and offsets carry [-].
-        engagement: Engaged springs at all N samples of the trial, and the share of the segment's
-            time in which each is engaged [-].
-    """
-
-    label: str
-    source: Fit | StoredModel
-    predicted: FloatArray
-    errors: tuple[ChannelErrors, ...]
-    in_sample: bool
-    held_out: tuple[ChannelErrors, ...]
-    shares: tuple[information.LoadShare, ...]
-    engagement: information.Engagement
-
-    @property
-    def model(self) -> ContactModel:
-        """The contact model: the parameters of the tiles and the offsets."""
-        return self.source.model
-
-    @property
-    def fit(self) -> Fit | None:
-        """The fit; None for a given model."""
-        return self.source if isinstance(self.source, Fit) else None
 
 
 @dataclass(frozen=True)
@@ -90,7 +43,8 @@ class Results:
         segment: The part used for the fits; with `frames` only its first samples.
         specification: The segment as requested, such as `plateau`.
         settings: The settings used; their variant is fitted in addition to the paper's.
-        candidates: The models: the fitted variants, then the given model, if any.
+        candidates: The models by label: those fitted here by their variant, then the given model,
+            if any, as `given`; each judged on the segment.
         fronts: The trade-off over theta of the paper's variants; may be empty.
         no_fronts: Reason for empty `fronts`; empty otherwise.
         plateaus: Plateaus of the trial, the longest first.
@@ -111,7 +65,7 @@ class Results:
     segment: Segment
     specification: str
     settings: EstimatorSettings
-    candidates: tuple[Candidate, ...]
+    candidates: dict[str, Evaluation]
     fronts: dict[Variant, Front]
     no_fronts: str
     plateaus: tuple[Segment, ...]
@@ -131,13 +85,13 @@ class Results:
     @property
     def judged_on(self) -> str:
         """Relation of the segment to the fits, in words."""
-        elsewhere = any(not candidate.in_sample for candidate in self.candidates)
+        elsewhere = any(not candidate.in_sample for candidate in self.candidates.values())
         return f"in-sample{f', except for the {GIVEN} model' * elsewhere}"
 
     @property
-    def fitted(self) -> dict[str, Candidate]:
+    def fitted(self) -> dict[str, Evaluation]:
         """The models fitted here, by variant."""
-        return {c.label: c for c in self.candidates if c.fit is not None}
+        return {label: found for label, found in self.candidates.items() if label != GIVEN}
 
     def series(self, columns: Mapping[str, ArrayLike]) -> pd.DataFrame:
         """A table of columns of shape (N,), a row per sample of the trial, no named index.
@@ -168,7 +122,7 @@ def compute_results(
     specification: str,
     settings: EstimatorSettings,
     thetas: Sequence[float] | FloatArray,
-    given: StoredModel | None = None,
+    given: FittedModel | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Results:
     """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both.
@@ -190,16 +144,16 @@ def compute_results(
     notes: list[str] = []
     chosen = checked.part(segment.rows)
     progress(1, _STAGES)
-    candidates = []
+    candidates: dict[str, Evaluation] = {}
     for variant in VARIANTS:
         if variant in PAPER_VARIANTS or variant == identification.variant:
             own = replace(identification, variant=variant)
-            fit = fit_contact_model(chosen, trial.geometry, own)
-            candidates.append(_judge(trial, segment, variant, fit))
+            fitted = fit_segment(trial, segment, chosen, own)
+            candidates[variant] = judge(trial, fitted.fit, segment)
     if given is not None:
         if {*given.settings.leave_out} != {*leave_out}:
             notes.append(f"the {GIVEN} model leaves out what its fit did, outliers as well")
-        candidates.append(_judge(trial, segment, GIVEN, given))
+        candidates[GIVEN] = judge(trial, given, segment)
     progress(2, _STAGES)
     # The report may lack a front or a validation.
     fronts, validation, no_fronts, no_validation = {}, [], "", ""
@@ -222,8 +176,8 @@ def compute_results(
     except IdentificationError as error:
         no_validation = str(error)
     progress(4, _STAGES)
-    mapped = mapped_trial(trial, settings)
-    pressure = mapped.over(whole)
+    mapped = map_trial(trial, settings)
+    pressure = mapped.part(whole).pressure()
     peak = whole.rows.start + pressure.outputs.peak_row
     over_trial = mapped.course(_PRESSURE_SAMPLES, [peak])
     progress(_STAGES, _STAGES)
@@ -234,7 +188,7 @@ def compute_results(
         segment=segment,
         specification=specification,
         settings=settings,
-        candidates=tuple(candidates),
+        candidates=candidates,
         fronts=fronts,
         no_fronts=no_fronts,
         plateaus=tuple(trial.plateaus(settings)),
@@ -245,30 +199,4 @@ def compute_results(
         no_validation=no_validation,
         pressure=pressure,
         over_trial=over_trial,
-    )
-
-
-def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
-    """A model over the trial and over the samples of the segment, as in `st.evaluate`."""
-    model, settings = source.model, source.settings
-    window, leave_out = settings.pose_smoothing, settings.leave_out
-    samples = trial.checked(leave_out).samples
-    chosen = samples[segment.rows]
-    predicted = predictions(samples, model, window)
-    inside = _rows_of(segment, samples)
-    used = (
-        inside if isinstance(source, Fit) else source.used(trial.name, trial.fingerprint, samples)
-    )
-    rest = ~(inside | used)
-    held_out = evaluate(samples[rest], predicted[rest], leave_out)
-    enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT
-    return Candidate(
-        label=label,
-        source=source,
-        predicted=predicted,
-        errors=evaluate(chosen, predictions(chosen, model, window), leave_out),
-        in_sample=bool(used[segment.rows].any()),
-        held_out=held_out if enough else (),
-        shares=information.load_shares(smooth_poses(chosen, window), model),
-        engagement=information.engagement(samples, model, window, segment.rows),
     )
