@@ -127,7 +127,7 @@ class TextTable:
         texts = cells.fillna("").astype(str).str.strip()
         import pandas as pd
 
-        values = pd.to_numeric(texts.replace({missing: "nan" for missing in _MISSING}), "coerce")
+        values = pd.to_numeric(texts.replace(dict.fromkeys(_MISSING, "nan")), "coerce")
         wrong = values.isna() & ~texts.str.lower().isin(_MISSING)
         if wrong.any():
             line = wrong.idxmax()
@@ -140,6 +140,9 @@ class TextTable:
 
 _MISSING = ("", "nan", "-nan", "na", "n/a", "#n/a", "none", "null", "-", "--")
 _READ_AS_MISSING = sorted({form for word in _MISSING for form in (word, word.upper())} | {"NaN"})
+_ONE_WIDTH = (
+    "correct or remove that line; separate the columns with ';' if the numbers have decimal commas"
+)
 _LOOKED_AT = 200  # [lines] from the end, which tell the table's width
 _IS_DATA = 2.0 / 3.0  # share of the cells of a row that begin like numbers
 _DATA = re.compile(r'\s*"?\s*[-+]?[.,]?\d|\s*"?\s*[-+]?nan\b', flags=re.IGNORECASE)
@@ -169,7 +172,9 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
                      " left out")  # fmt: skip
         lines[-1] = ""
     begin = _after(lines, starts_after)
-    stated, _ = split_separator(lines[0]) if _is_sep(lines[0]) else ("", "")
+    stated = ""
+    if _is_sep(lines[0]):
+        stated, lines[0] = split_separator("\n".join(lines[:2]))[0], ""
     filled = [k for k in range(begin, len(lines)) if lines[k].strip()]
     separator = stated or _separator([lines[k] for k in filled[-_LOOKED_AT:]])
     widths = Counter(len(_split(lines[k], separator)) for k in filled[-_LOOKED_AT:])
@@ -181,7 +186,12 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
     cells = [_split(lines[k], separator) for k in above[-2:]]
     fitting = [abs(len(row) - width) <= 1 for row in cells]
     titles: list[str] = []
-    if fitting and fitting[-1]:
+    if cells and _is_data(cells[-1], len(cells[-1])) and len(cells[-1]) > 1:
+        fact = f"line {above[-1] + 1} has {len(cells[-1])} columns, others {width}"
+        if len(cells[-1]) > width:
+            raise ConfigurationError(fact, _ONE_WIDTH)
+        notes.append(f"{fact}: it is left out")
+    elif fitting and fitting[-1]:
         titles = _padded(cells[-1], width)
         if len(cells) > 1 and fitting[0]:
             titles = units_below(_padded(cells[0], width), titles, units) or titles
@@ -209,11 +219,7 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
         shown = str(error).strip().rpartition("error: ")[2]
         if fact:
             shown = f"line {int(fact[2]) + first} has {fact[3]} columns, others {fact[1]}"
-        raise ConfigurationError(
-            shown,
-            "correct or remove that line; separate the columns with ';' if the numbers have"
-            " decimal commas",
-        ) from None
+        raise ConfigurationError(shown, _ONE_WIDTH) from None
     columns.index += first + 1
     blank = {k + 1 for k in range(first, len(lines)) if not lines[k].strip(f'{separator} \t"')}
     columns = columns[~columns.index.isin(blank)]
@@ -257,4 +263,3 @@ def _is_data(cells: Sequence[str], width: int) -> bool:
 
 def _padded(cells: Sequence[str], width: int) -> list[str]:
     return [*cells, *[""] * (width - len(cells))]
-
