@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -14,7 +15,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.settings.options import Scenario
-from socket_testbed.simulation import sensors
+from socket_testbed.simulation import limb, sensors
 from socket_testbed.simulation.trial import SimulatedTrial, random_streams, simulate
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.wire import cdr
@@ -97,16 +98,19 @@ def simulate_foreign(
     seed: int = 0,
     lab: ForeignLab | None = None,
     rate: float = 50.0,
+    pace: float = 1.0,
 ) -> SimulatedTrial:
     """Write a foreign bag of a simulated trial; returns the truth, linear between its triggers.
 
-    The noise of wrench and markers is that of the simulated drivers.
+    The noise of wrench and markers is that of the simulated drivers. The hands push `pace` times
+    faster than those of the scenario.
     """
     lab = lab or ForeignLab()
     geometry = read_socket(packaged("config", "socket.yaml"))
     calibration = read_calibration(packaged("config", "calibration.yaml"))
     errors = sensors.SensorErrors(force_offset=0.0, moment_offset=0.0)
-    trial = simulate(geometry, calibration, scenario, duration, rate, seed, errors)
+    with patch.object(limb, "_HAND_PERIODS", limb._HAND_PERIODS / pace):
+        trial = simulate(geometry, calibration, scenario, duration, rate, seed, errors)
     since = (trial.stamps - trial.stamps[0]) * 1e-9
     random = np.random.default_rng(seed + 1000)
     start = int(trial.stamps[0])
