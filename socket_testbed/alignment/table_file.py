@@ -144,6 +144,16 @@ def named_column(table: TextTable, title: str, what: str) -> int:
     return found[0]
 
 
+def has_column(table: TextTable, title: str) -> bool:
+    """Whether a table has a column of that title, with or without its unit.
+
+    Args:
+        table: The table.
+        title: The title.
+    """
+    return bool(title) and any(title in (own, split_title(own, WRITTEN)[0]) for own in table.titles)
+
+
 def shown_titles(table: TextTable, most: int = 12) -> str:
     """The titles of a table in one line, for errors."""
     titles = [f"'{title}'" for title in table.titles if title]
@@ -156,7 +166,7 @@ def time_columns(table: TextTable, stated: TableFormat) -> list[int]:
     Raises:
         ConfigurationError: If several columns may be it.
     """
-    if "time" in stated.columns:
+    if has_column(table, stated.columns.get("time", "")):
         return [named_column(table, stated.columns["time"], "time")]
     if not table.has_titles:
         return []

@@ -14,6 +14,7 @@ from socket_testbed.alignment.series import ClusterSeries, WrenchSeries
 from socket_testbed.alignment.table_file import (
     Clock,
     TableFormat,
+    has_column,
     named_column,
     read_clock,
     read_table,
@@ -113,6 +114,42 @@ def _wrench_columns(table: TextTable, named: Mapping[str, str]) -> dict[str, int
         if matches:
             found[component] = matches[0]
     return found
+
+
+def is_wrench(table: TextTable, stated: TableFormat) -> bool:
+    """Whether a table has a column for each component of a wrench.
+
+    Args:
+        table: The table.
+        stated: What its titles do not tell.
+
+    Raises:
+        ConfigurationError: If several columns may be one component.
+    """
+    named = {n: title for n, title in stated.columns.items() if has_column(table, title)}
+    return len(_wrench_columns(table, named)) == len(COMPONENTS)
+
+
+def are_clusters(table: TextTable, stated: TableFormat) -> bool:
+    """Whether a table has channels of clusters, by titles with units, or in a stated order.
+
+    Args:
+        table: The table.
+        stated: What its titles do not tell.
+    """
+    channels = [(title, channel_of(title, stated)) for title in table.titles]
+    units = {*stated.units}
+    for title, channel in channels:
+        if channel and (split_title(title, WRITTEN)[1] or channel[1] in units):
+            return True
+        if channel and channel[0].rpartition(".")[0] in stated.names:
+            return True
+    if any("." in name and has_column(table, title) for name, title in stated.columns.items()):
+        return True
+    if not stated.names or is_wrench(table, stated):
+        return False
+    left = len(table.titles) - len(time_columns(table, stated))
+    return left in (4 * len(stated.names), 3 * len(stated.names))
 
 
 def read_cluster_table(path: Path, stated: TableFormat | None = None) -> TableSeries:

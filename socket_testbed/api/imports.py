@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,7 +12,14 @@ import msgspec
 import numpy as np
 
 from socket_testbed.alignment.align import Aligned, align
+from socket_testbed.alignment.common_clock import (
+    MAX_OFFSET,
+    clocks_in_words,
+    stated_offsets,
+    to_common_clock,
+)
 from socket_testbed.alignment.series import ClusterSeries
+from socket_testbed.alignment.table_file import TableFormat
 from socket_testbed.alignment.triggers import triggers_at
 from socket_testbed.api.trials import as_path, open_trial
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period
@@ -26,15 +34,15 @@ from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import TriggerSettings, averaging_span
 from socket_testbed.settings.alignment import MAX_DELAY
 from socket_testbed.settings.options import WrenchOf
-from socket_testbed.trials import foreign, imported
-from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials import foreign, foreign_tables, imported
+from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.trial import Trial, read_configuration
 
 _CLEAR_LOAD = 50.0  # [N]; above which the load shows the sign of the wrench
 
 
 def import_trial(
-    bag: PathLike,
+    source: PathLike | Sequence[PathLike],
     path: PathLike,
     *,
     wrench: str | None = None,
@@ -44,6 +52,10 @@ def import_trial(
     names: Sequence[str] = (),
     rate: float | None = None,
     trigger: str | None = None,
+    offset: Iterable[str] | Mapping[str, float] = (),
+    columns: Iterable[str] | Mapping[str, str] = (),
+    units: Iterable[str] | Mapping[str, str] = (),
+    row_rate: Iterable[str] | Mapping[str, float] = (),
     delay: Iterable[str] | Mapping[str, float] = (),
     wrench_of: WrenchOf | None = None,
     mapping: PathLike | None = None,
@@ -51,26 +63,33 @@ def import_trial(
     calibration: PathLike | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> Trial:
-    """Make a trial from a bag of other sensors' topics; the bag stays as it is.
+    """Make a trial from other sensors' topics in a bag, or tables; they stay as they are.
 
     The values at each trigger come from the readings in a window around it, see
-    `socket_testbed.alignment`. The trial also holds the messages that were read, and `import.yaml`,
-    which states topics, delays and windows.
+    `socket_testbed.alignment`. The trial also holds the messages that were read, or copies of the
+    tables, and `import.yaml`, which states topics or files, offsets, delays and windows.
 
     Args:
-        bag: Folder or storage file of the bag.
+        source: Folder or storage file of the bag; or tables, one or more: of a load cell, of
+            capacitances or stresses, and takes of motion capture, which their columns tell apart.
         path: Folder of the new trial.
-        wrench: Topic of the load cell's wrench, or none (default: found by its type).
+        wrench: Topic or table of the load cell's wrench, or none (default: found by its type).
         socket_pose: Topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform,
-            or none (default: found by type and name).
+            FILE:BODY of a take, or none (default: found by type and name).
         pylon_pose: Topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform,
-            or none (default: found by type and name).
-        clusters: Topic of the clusters' capacitances or stresses, or none (default: found by type
-            and name).
-        names: Clusters of an array without names, in its order, four capacitances each.
+            FILE:BODY of a take, or none (default: found by type and name).
+        clusters: Topic or table of the clusters' capacitances or stresses, or none (default: found
+            by type and name).
+        names: Clusters of an array or table without names, in its order, four capacitances each.
         rate: Rate of triggers over the time that all sources share [Hz] (default: 4, unless a
             trigger is given).
         trigger: Topic whose stamps are the triggers.
+        offset: What to add to the times of the table of wrench, socket_pose, pylon_pose or
+            clusters, so that they count as those of the first table [s].
+        columns: Titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0.
+        units: Units of tables, for time, force, moment, capacitance or stress; they override those
+            of the titles.
+        row_rate: Rate of the rows of a source's table without times [Hz].
         delay: Delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the
             measurement [s].
         wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
@@ -90,7 +109,8 @@ def import_trial(
         ConfigurationError: An option or a file is wrong, or the folder exists.
     """
     notify = warnings.warn if notify is None else notify
-    source, output = path_of(bag, "the bag"), path_of(path, "the folder of the trial")
+    paths = _paths(source)
+    output = path_of(path, "the folder of the trial")
     check_new_folder(output)
     given = {
         "wrench": wrench,
@@ -98,29 +118,30 @@ def import_trial(
         "pylon_pose": pylon_pose,
         "clusters": clusters,
     }
-    chosen = _mapping(as_path(mapping), given, _delays(delay), names, wrench_of)
+    numbers = {
+        "delay": _by_source(delay, "delay", -MAX_DELAY, MAX_DELAY),
+        "offset": _by_source(offset, "offset", -MAX_OFFSET, MAX_OFFSET),
+        "row_rate": _by_source(row_rate, "row_rate", 0.1, 20000.0),
+    }
+    chosen = _mapping(as_path(mapping), given, numbers, names, wrench_of)
+    chosen = msgspec.structs.replace(
+        chosen,
+        columns={**chosen.columns, **_pairs(columns, "columns", "a column and its title")},
+        units={**chosen.units, **_pairs(units, "units", "a quantity and its unit")},
+    )
     chosen = _with_triggers(chosen, rate, trigger)
     files = as_path(geometry), as_path(calibration)
     configuration = read_configuration(*files)
     socket = read_socket(file_or_packaged(files[0], SOCKET_FILE))
     coefficients = read_calibration(file_or_packaged(files[1], CALIBRATION_FILE))
-    with BagReader(source) as reader:
-        for note in reader.notes:
-            notify(note)
-        stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
-        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
-        if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
-            known = [name for name, count in reader.counts.items() if count]
-            fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
-            raise TrialError(fact, closest(chosen.trigger, known))
-        received = foreign.read_messages(reader, found, chosen.trigger)
+    tables = foreign_tables.are_tables(paths)
+    read = _from_tables(paths, chosen, socket) if tables else _from_bag(paths[0], chosen)
+    sources, received = read.sources, read.messages
+    for note in read.notes:
+        notify(note)
     for lacking in foreign.SOURCES:
-        if lacking not in found:
+        if lacking not in sources:
             notify(foreign.LACKING[lacking])
-    sources: dict[str, foreign.ForeignSource] = {
-        name: foreign.read_source(name, at, received, chosen.clusters.names)
-        for name, at in found.items()
-    }
     for place, own in sources.items():
         notify(_in_words(place, own))
         for note in own.notes:
@@ -132,7 +153,7 @@ def import_trial(
         for name, own in sources.items()
     }
     _refuse_nothing(aligned, sources, triggers)
-    record: dict[str, Any] = {"bag": source.name, "triggers": _trigger_record(chosen, triggers)}
+    record: dict[str, Any] = {**read.record, "triggers": _trigger_record(chosen, triggers)}
     for place, values_of in aligned.items():
         settings = getattr(chosen, place).settings
         window = averaging_span(settings.window, period)
@@ -153,15 +174,109 @@ def import_trial(
     cluster_values = _cluster_values(sources, aligned, coefficients, triggers, notify)
     originals = (message for each in received.values() for message in each)
     imported.write_imported_trial(
-        output, triggers, aligned, cluster_values, [*originals], configuration, record
+        output,
+        triggers,
+        aligned,
+        cluster_values,
+        [*originals],
+        configuration,
+        record,
+        paths if tables else (),
     )
     return open_trial(output, notify=notify)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What was read from a bag or tables.
+
+    Attributes:
+        sources: What each source measured, by its name, on one clock.
+        messages: The messages of a bag by topic.
+        record: What `import.yaml` states of where it is from.
+        notes: Remarks for the user.
+    """
+
+    sources: Mapping[str, foreign.ForeignSource]
+    messages: Mapping[str, Sequence[RawMessage]]
+    record: Mapping[str, Any]
+    notes: Sequence[str]
+
+
+def _paths(source: PathLike | Sequence[PathLike]) -> list[Path]:
+    """The bag, or the tables, that a user gives."""
+    several = isinstance(source, Sequence) and not isinstance(source, str)
+    paths = [path_of(each, "the bag") for each in (source if several else [source])]
+    if not paths:
+        raise ConfigurationError("no bag or table is given", "name a bag, or tables")
+    if len(paths) > 1 and not foreign_tables.are_tables(paths):
+        fact = f"{paths[1]} is given beside {paths[0]}"
+        raise ConfigurationError(fact, "import one bag, or several tables")
+    return paths
+
+
+def _from_bag(path: Path, chosen: imported.SourceMapping) -> _Read:
+    """The sources of a bag."""
+    with BagReader(path) as reader:
+        notes = list(reader.notes)
+        stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
+        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
+        if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
+            known = [name for name, count in reader.counts.items() if count]
+            fact = f"{path}: the topic {chosen.trigger} of --trigger holds no message"
+            raise TrialError(fact, closest(chosen.trigger, known))
+        received = foreign.read_messages(reader, found, chosen.trigger)
+    sources = {
+        name: foreign.read_source(name, at, received, chosen.clusters.names)
+        for name, at in found.items()
+    }
+    return _Read(sources, received, {"bag": path.name}, notes)
+
+
+def _from_tables(
+    paths: Sequence[Path], chosen: imported.SourceMapping, socket: SocketGeometry
+) -> _Read:
+    """The sources of tables, on one clock."""
+    if chosen.trigger is not None:
+        raise ConfigurationError("tables hold no topic for --trigger", "give --rate instead")
+    at = {name: getattr(chosen, name) for name in foreign.SOURCES}
+    formats = {
+        name: TableFormat(chosen.columns, chosen.units, own.row_rate, chosen.clusters.names)
+        for name, own in at.items()
+    }
+    named = {name: own.topic for name, own in at.items() if own.topic is not None}
+    parts = foreign_tables.propose_tables(paths, named, formats["clusters"])
+    sources, clocks = foreign_tables.read_table_sources(parts, formats, socket)
+    stated = {name: own.offset for name, own in at.items() if own.offset is not None}
+    offsets = stated_offsets(clocks, stated)
+    are_dated = all(clock.is_dated for clock in clocks)
+    on_one = {
+        name: replace(
+            sources[name],
+            series=to_common_clock(sources[name].series, clock, offsets[clock.file], are_dated),
+        )
+        for clock in clocks
+        for name in clock.sources
+    }
+    record = {
+        "files": [path.name for path in paths],
+        "clocks": {
+            file: {"offset": own.seconds, "how": own.how}
+            | ({} if np.isnan(own.error) else {"error": round(own.error, 6)})
+            for file, own in offsets.items()
+        },
+    }
+    notes = [] if len(clocks) == 1 else [clocks_in_words(clocks, offsets)]
+    if not are_dated:
+        notes.append("no date is known for all tables: times count from 2000-01-01")
+    ordered = {name: on_one[name] for name in foreign.SOURCES if name in on_one}
+    return _Read(ordered, {}, record, notes)
 
 
 def _mapping(
     file: Path | None,
     given: Mapping[str, str | None],
-    delays: Mapping[str, float],
+    numbers: Mapping[str, Mapping[str, float]],
     names: Sequence[str],
     wrench_of: WrenchOf | None,
 ) -> imported.SourceMapping:
@@ -173,8 +288,7 @@ def _mapping(
         changes: dict[str, Any] = {}
         if given[name] is not None:
             changes["topic"] = given[name]
-        if name in delays:
-            changes["delay"] = delays[name]
+        changes |= {field: own[name] for field, own in numbers.items() if name in own}
         if name == "clusters" and names:
             changes["names"] = tuple(names)
         if name == "wrench" and wrench_of is not None:
@@ -206,27 +320,32 @@ def _with_triggers(
     return chosen
 
 
-def _delays(given: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
-    """Delays [s] by source, of texts such as `wrench=0.02` or a mapping."""
-    hint = "give a source and seconds, such as wrench=0.02"
-    pairs: list[tuple[str, Any]]
-    if isinstance(given, Mapping):
-        pairs = [*given.items()]
-    else:
-        texts = [given] if isinstance(given, str) else [*given]
-        if wrong := [text for text in texts if "=" not in str(text)]:
-            raise ConfigurationError(f"delay is '{wrong[0]}'", hint)
-        pairs = [(name.strip(), value) for name, _, value in (t.partition("=") for t in texts)]
+def _by_source(
+    given: Iterable[str] | Mapping[str, float], what: str, low: float, high: float
+) -> dict[str, float]:
+    """Numbers by source, of texts such as `wrench=0.02` or a mapping."""
     found: dict[str, float] = {}
-    for name, value in pairs:
+    form = "a source and a number, such as wrench=0.02"
+    for name, value in _pairs(given, what, form).items():
         if name not in foreign.SOURCES:
-            raise ConfigurationError(f"delay names '{name}'", closest(name, foreign.SOURCES))
+            raise ConfigurationError(f"{what} names '{name}'", closest(name, foreign.SOURCES))
         try:
-            seconds = float(value)
+            number = float(value)
         except (TypeError, ValueError):
-            raise ConfigurationError(f"the delay of {name} is '{value}'", hint) from None
-        found[name] = check_number(seconds, f"the delay of {name}", -MAX_DELAY, MAX_DELAY)
+            fact = f"the {what} of {name} is '{value}'"
+            raise ConfigurationError(fact, f"give {form}") from None
+        found[name] = check_number(number, f"the {what} of {name}", low, high)
     return found
+
+
+def _pairs(given: Iterable[str] | Mapping[str, Any], what: str, form: str) -> dict[str, Any]:
+    """Values by name, of texts such as `name=value` or a mapping."""
+    if isinstance(given, Mapping):
+        return {**given}
+    texts = [given] if isinstance(given, str) else [*given]
+    if wrong := [text for text in texts if "=" not in str(text)]:
+        raise ConfigurationError(f"{what} is '{wrong[0]}'", f"give {form}")
+    return {name.strip(): value.strip() for name, _, value in (t.partition("=") for t in texts)}
 
 
 def _in_words(name: str, own: foreign.ForeignSource) -> str:

@@ -340,10 +340,10 @@ class Simulate(SimulationOptions, summary="write a simulated trial with its grou
 
 
 @dataclass(frozen=True, kw_only=True)
-class Import(ImportOptions, summary="make a trial from a bag of other sensors' topics"):
+class Import(ImportOptions, summary="make a trial from other sensors' topics or tables"):
     """Options of `import`."""
 
-    bag: Path = argument("folder or storage file of the bag")
+    source: list[Path] = argument("folder or storage file of a bag, or tables")
     output: Path = required("folder of the new trial")
 
 

@@ -1,4 +1,4 @@
-"""`import`: a trial from other laboratories' topics."""
+"""`import`: a trial from other laboratories' topics or tables."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from socket_testbed.settings.options import ImportOptions, given
 
 @takes(calls.Import)
 def import_(call: calls.Import) -> None:
-    """Make a trial from a bag of other sensors' topics."""
-    trial = api.import_trial(call.bag, call.output, **given(call, ImportOptions), notify=print_note)
+    """Make a trial from other sensors' topics or tables."""
+    trial = api.import_trial(call.source, call.output, **given(call, ImportOptions), notify=print_note)
     samples = trial.samples()
     print(
         f"{call.output}: {len(samples)} samples in {samples.time[-1]:.2f} s,"

@@ -427,29 +427,30 @@ class ImportOptions(Options):
     """Options of `st.import_trial`."""
 
     wrench: str | None = option(
-        None, "topic of the load cell's wrench, or none (default: found by its type)",
+        None,
+        "topic or table of the load cell's wrench, or none (default: found by its type)",
         metavar="TOPIC",
-    )  # fmt: skip
+    )
     socket_pose: str | None = option(
         None,
-        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, or none"
-        " (default: found by type and name)",
+        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY of a"
+        " take, or none (default: found by type and name)",
         metavar="TOPIC",
     )
     pylon_pose: str | None = option(
         None,
-        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, or none"
-        " (default: found by type and name)",
+        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY of a"
+        " take, or none (default: found by type and name)",
         metavar="TOPIC",
     )
     clusters: str | None = option(
         None,
-        "topic of the clusters' capacitances or stresses, or none (default: found by type and"
-        " name)",
+        "topic or table of the clusters' capacitances or stresses, or none (default: found by type"
+        " and name)",
         metavar="TOPIC",
     )
     names: Sequence[str] = several(
-        "clusters of an array without names, in its order, four capacitances each"
+        "clusters of an array or table without names, in its order, four capacitances each"
     )
     rate: float | None = option(
         None,
@@ -459,6 +460,23 @@ class ImportOptions(Options):
     )
     trigger: str | None = option(
         None, "topic whose stamps are the triggers", metavar="TOPIC", either="triggers"
+    )
+    offset: Iterable[str] = several(
+        "what to add to the times of the table of wrench, socket_pose, pylon_pose or clusters, so"
+        " that they count as those of the first table [s]",
+        metavar="SOURCE=S",
+    )
+    columns: Iterable[str] = several(
+        "titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0",
+        metavar="WHAT=TITLE",
+    )
+    units: Iterable[str] = several(
+        "units of tables, for time, force, moment, capacitance or stress; they override those of"
+        " the titles",
+        metavar="WHAT=UNIT",
+    )
+    row_rate: Iterable[str] = several(
+        "rate of the rows of a source's table without times [Hz]", metavar="SOURCE=HZ"
     )
     delay: Iterable[str] = several(
         "delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the measurement"

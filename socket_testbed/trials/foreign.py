@@ -38,7 +38,7 @@ KINDS: dict[Source, tuple[str, ...]] = {
     "pylon_pose": _POSES,
     "clusters": _CLUSTERS,
 }
-_WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics
+WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics and bodies
     "socket_pose": ("socket",),
     "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
     "clusters": ("cluster", "capacit"),
@@ -143,7 +143,7 @@ def _named(source: Source, suited: Sequence[str], held: Mapping[str, str]) -> li
     if own:
         capacitances = [name for name in own if held[name] == topics.CAPACITANCE.type]
         return capacitances or own
-    return [name for name in suited if any(word in name.lower() for word in _WORDS[source])]
+    return [name for name in suited if any(word in name.lower() for word in WORDS[source])]
 
 
 def _refuse_unclear_poses(

@@ -1,11 +1,12 @@
 """Writes a trial from sources that know no trigger, and the record of how it was made.
 
-The trial holds the testbed's topics, one message per trigger, and beside them the messages from
-which they were made, unchanged. `import.yaml` in its folder states the mapping, delays and windows.
+The trial holds the testbed's topics, one message per trigger, and beside them the messages or
+tables from which they were made, unchanged. `import.yaml` in its folder states the mapping, delays and windows.
 """
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,9 +15,10 @@ import numpy as np
 from msgspec import Meta, field
 
 from socket_testbed.alignment.align import Aligned
+from socket_testbed.alignment.common_clock import MAX_OFFSET
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, finite_mean
 from socket_testbed.documents import Document, dump_yaml
-from socket_testbed.files import atomic_output, check_new_folder, make_folder
+from socket_testbed.files import atomic_output, check_new_folder, make_folder, sync
 from socket_testbed.geometry.pose import PoseDocument
 from socket_testbed.settings.alignment import MAX_DELAY, SourceSettings
 from socket_testbed.settings.options import WrenchOf
@@ -26,6 +28,7 @@ from socket_testbed.wire import messages, topics
 
 RECORD_FILE = "import.yaml"
 _HEADER = "# How this trial was made by 'socket-testbed import': times in s, lengths in m.\n"
+ORIGINALS = "originals"  # folder of a trial that holds the tables it was made from
 ORIGINAL = "/original"  # ends the name of an original topic that is called like the testbed's
 _DEPTH = 100  # [messages]
 _Delay = Annotated[float, Meta(ge=-MAX_DELAY, le=MAX_DELAY)]
@@ -35,8 +38,12 @@ class SourceDocument(Document):
     """A source in a mapping file.
 
     Attributes:
-        topic: Its topic, `tf:PARENT/CHILD` for a pose, or `none`; None to find it.
+        topic: Its topic, `tf:PARENT/CHILD` for a pose, the file of its table, `FILE:BODY` for a
+            body of a take, or `none`; None to find it.
         delay: Delay of its stamps behind the measurement [s].
+        offset: What is added to the times of its table, see `stated_offsets` [s]; None for a topic,
+            and for a table whose offset follows from others.
+        row_rate: Rate of the rows of its table without times [Hz]; None for any other.
         method: `line`, `mean` or `last`, see `SourceSettings`.
         window: Span centred on a trigger whose readings are used; negative: as `SourceSettings`
             [s].
@@ -45,6 +52,8 @@ class SourceDocument(Document):
 
     topic: str | None = None
     delay: _Delay = SourceSettings.delay
+    offset: Annotated[float, Meta(ge=-MAX_OFFSET, le=MAX_OFFSET)] | None = None
+    row_rate: Annotated[float, Meta(ge=0.1, le=20000.0)] | None = None
     method: str = SourceSettings.method
     window: float = SourceSettings.window
     stale: float = SourceSettings.stale
@@ -90,6 +99,8 @@ class SourceMapping(Document):
         rate: Rate of triggers over the time that all sources share [Hz]; None with a trigger, or
             for the usual one.
         trigger: Topic whose stamps are the triggers; None for a rate.
+        columns: Titles of columns of tables, by what they hold, see `TableFormat`.
+        units: Units of tables by quantity, see `TableFormat`.
     """
 
     wrench: WrenchDocument = field(default_factory=WrenchDocument)
@@ -98,6 +109,8 @@ class SourceMapping(Document):
     clusters: ClustersDocument = field(default_factory=ClustersDocument)
     rate: Annotated[float, Meta(ge=0.1, le=1000.0)] | None = None
     trigger: str | None = None
+    columns: dict[str, str] = {}
+    units: dict[str, str] = {}
 
 
 def in_load_cell(values: FloatArray, mapping: WrenchDocument) -> FloatArray:
@@ -132,6 +145,7 @@ def write_imported_trial(
     originals: Iterable[RawMessage],
     configuration: Mapping[str, bytes],
     record: Mapping[str, Any],
+    files: Sequence[Path] = (),
 ) -> None:
     """Write the trial.
 
@@ -145,6 +159,7 @@ def write_imported_trial(
         originals: The messages from which the trial was made.
         configuration: The files to store with it, see `read_configuration`.
         record: What `import.yaml` states.
+        files: Tables from which the trial was made; copies of them are stored with it.
 
     Raises:
         ConfigurationError: If the folder exists or cannot be written.
@@ -180,6 +195,10 @@ def write_imported_trial(
                 bag.write(name, time, data)
         record_text = _HEADER + dump_yaml(dict(record))
         store_configuration(staging, {**configuration, RECORD_FILE: record_text.encode()})
+        for file in files:
+            (staging / ORIGINALS).mkdir(exist_ok=True)
+            shutil.copyfile(file, staging / ORIGINALS / file.name)
+            sync(staging / ORIGINALS / file.name)
 
 
 def described(aligned: Aligned, settings: SourceSettings, window: float) -> dict[str, Any]:

@@ -1,0 +1,114 @@
+"""Tables with clocks of their own, brought to one clock by stated offsets or what they saw."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from socket_testbed.alignment.align import Series
+from socket_testbed.errors import ConfigurationError, closest, listed
+
+_SECOND = 1_000_000_000  # [ns]
+UNDATED = 946_684_800 * _SECOND  # [ns]; 2000-01-01, where the clock of undated tables starts
+MAX_OFFSET = 1e7  # [s]
+_MAX_LISTED = 4
+
+
+@dataclass(frozen=True)
+class OwnClock:
+    """The clock of a file.
+
+    Attributes:
+        file: The file's name.
+        sources: Names of the sources that it holds.
+        is_dated: Whether its times count from 1970.
+        start: Its first time [ns].
+    """
+
+    file: str
+    sources: tuple[str, ...]
+    is_dated: bool
+    start: int
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What is added to the times of a file to bring them to the common clock.
+
+    Attributes:
+        seconds: The time [s].
+        error: Half the width of its 95 % interval [s]; NaN if it is stated.
+        how: Where it is from, in words.
+    """
+
+    seconds: float
+    error: float = float("nan")
+    how: str = "stated"
+
+
+def stated_offsets(
+    clocks: Sequence[OwnClock], stated: Mapping[str, float], *, complete: bool = True
+) -> dict[str, Offset]:
+    """Offsets of files from what is stated by source.
+
+    Tables that all tell the date need none. Otherwise the times of each count from its own start,
+    and those of all files but the first need an offset.
+
+    Args:
+        clocks: The clocks of the files, that of the reference first.
+        stated: Offsets by source [s].
+        complete: Whether a missing one is refused; else it is 0.
+
+    Raises:
+        ConfigurationError: If one is missing, or a source has none in these files.
+    """
+    known = [source for clock in clocks for source in clock.sources]
+    if unknown := [source for source in stated if source not in known]:
+        raise ConfigurationError(f"offset names '{unknown[0]}'", closest(unknown[0], known))
+    are_dated = all(clock.is_dated for clock in clocks)
+    found: dict[str, Offset] = {}
+    for number, clock in enumerate(clocks):
+        own = {stated[source] for source in clock.sources if source in stated}
+        if len(own) > 1:
+            shown = ", ".join(f"{value:g}" for value in sorted(own))
+            fact = f"{clock.file} has one clock, and the offsets {shown} s"
+            raise ConfigurationError(fact, "state one offset for its sources")
+        if own:
+            found[clock.file] = Offset(own.pop())
+        elif are_dated or number == 0:
+            found[clock.file] = Offset(0.0, how="dates" if are_dated else "reference")
+        elif complete:
+            raise ConfigurationError(
+                f"{clock.file} has a clock of its own",
+                f"state what to add to its times with --offset {clock.sources[0]}=S, counted as"
+                f" those of {clocks[0].file}, or find it with --clocks tap or --clocks load",
+            )
+        else:
+            found[clock.file] = Offset(0.0, how="assumed")
+    return found
+
+
+def to_common_clock(series: Series, clock: OwnClock, offset: Offset, are_dated: bool) -> Series:
+    """A series at times of the common clock.
+
+    Args:
+        series: What a source of the file measured, at times of the file.
+        clock: The clock of its file.
+        offset: The offset of the file.
+        are_dated: Whether all files tell the date.
+    """
+    shift = round(offset.seconds * _SECOND)
+    if not are_dated:
+        shift += UNDATED - (clock.start if clock.is_dated else 0)
+    return dataclasses.replace(series, times=series.times + shift)
+
+
+def clocks_in_words(clocks: Sequence[OwnClock], offsets: Mapping[str, Offset]) -> str:
+    """The offsets in one line, for a note."""
+    parts = []
+    for clock in clocks:
+        own = offsets[clock.file]
+        error = f" +- {own.error:.2g}" if own.error == own.error else ""
+        parts.append(f"{clock.file} {own.seconds:+.6g}{error} s ({own.how})")
+    return f"clocks: {listed(parts, _MAX_LISTED)}"

@@ -1,0 +1,273 @@
+"""Tables of other laboratories' sensors: which file is what, and what each measured."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from socket_testbed.alignment.common_clock import OwnClock
+from socket_testbed.alignment.table_file import (
+    TableFormat,
+    has_column,
+    read_table,
+    shown_titles,
+    table_text,
+)
+from socket_testbed.alignment.tables import (
+    COMPONENTS,
+    are_clusters,
+    is_wrench,
+    read_cluster_table,
+    read_wrench_table,
+)
+from socket_testbed.alignment.takes import Take, is_take, read_take, take_poses
+from socket_testbed.alignment.units import UNITS, factor
+from socket_testbed.errors import ConfigurationError, TrialError, closest, listed, naming, option_of
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.trials.foreign import NONE, SOURCES, WORDS, ForeignSource, Source, in_words
+
+SUFFIXES = (".csv", ".tsv", ".txt", ".lvm", ".dat", ".log", ".asc")
+"""Suffixes of files that are taken for tables."""
+
+_POSES: dict[Source, str] = {"socket_pose": "socket", "pylon_pose": "pylon"}  # marker bodies
+_MAX_LISTED = 6
+
+
+@dataclass(frozen=True)
+class TablePart:
+    """The part of a file that a source is read from.
+
+    Attributes:
+        path: The file.
+        body: The body of a take; empty for other tables.
+    """
+
+    path: Path
+    body: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.path.name}:{self.body}" if self.body else self.path.name
+
+
+def are_tables(paths: Sequence[Path]) -> bool:
+    """Whether files are tables by their suffixes.
+
+    Args:
+        paths: One or more paths that a user gave.
+
+    Raises:
+        TrialError: If some are and others are not.
+    """
+    tables = [path for path in paths if path.suffix.lower() in SUFFIXES and not path.is_dir()]
+    if tables and len(tables) < len(paths):
+        other = next(path for path in paths if path not in tables)
+        fact = f"{other} is no table ({', '.join(SUFFIXES)}), {tables[0]} is one"
+        raise TrialError(fact, "import one bag, or tables only")
+    return bool(tables)
+
+
+def propose_tables(
+    paths: Sequence[Path], chosen: Mapping[Source, str], stated: TableFormat
+) -> dict[Source, TablePart]:
+    """The file of each source: those chosen, and for others what the columns tell.
+
+    Args:
+        paths: The tables.
+        chosen: By source a file's name, `FILE:BODY` or a body of the only take; `none` for a source
+            that is left out.
+        stated: What the titles do not tell.
+
+    Returns:
+        Parts by source; sources that the tables lack are left out.
+
+    Raises:
+        TrialError: If a chosen file or body is not there, several suit, or a file is none of them.
+    """
+    if again := [path.name for path in paths if [p.name for p in paths].count(path.name) > 1]:
+        raise TrialError(f"two tables are called {again[0]}", "rename one")
+    _refuse_unknown_names(paths, stated)
+    takes = {path: read_take(path) for path in paths if _is_take(path)}
+    tables = [path for path in paths if path not in takes]
+    found: dict[Source, TablePart] = {}
+    for source, text in chosen.items():
+        if text != NONE:
+            found[source] = _chosen(source, text, paths, takes)
+    for source in SOURCES:
+        if source not in chosen:
+            own = _suited(source, takes, tables, stated, [str(part) for part in found.values()])
+            if own is not None:
+                found[source] = own
+    _refuse_unclear_bodies(takes, found, chosen)
+    used = {part.path for part in found.values()}
+    for path in paths:
+        if path not in used:
+            what = listed(takes[path].names, _MAX_LISTED) if path in takes else _titles(path)
+            raise TrialError(
+                f"{path.name}: is none of the sources (it has {what})",
+                f"state what it is, such as {option_of('wrench')} {path.name}, or leave it out",
+            )
+    return found
+
+
+def _refuse_unknown_names(paths: Sequence[Path], stated: TableFormat) -> None:
+    """Refuse columns and units of quantities that nothing has, and titles that no table has."""
+    for quantity, unit in stated.units.items():
+        if quantity not in UNITS:
+            raise ConfigurationError(f"units names '{quantity}'", closest(quantity, UNITS))
+        if factor(quantity, unit) is None:
+            known = ", ".join(UNITS[quantity])
+            raise ConfigurationError(f"'{unit}' is no unit of {quantity}", f"use one of {known}")
+    for what, title in stated.columns.items():
+        if what != "time" and what not in COMPONENTS and "." not in what:
+            hint = "name time, Fx to Mz, or a channel such as distal.0"
+            raise ConfigurationError(f"columns names '{what}'", hint)
+        if not any(has_column(read_table(path), title) for path in paths if not _is_take(path)):
+            names = ", ".join(path.name for path in paths)
+            fact = f"no column is called '{title}', named for {what}, in {names}"
+            raise ConfigurationError(fact, "check its title")
+
+
+def _is_take(path: Path) -> bool:
+    return is_take(table_text(path)[:4096])
+
+
+def _titles(path: Path) -> str:
+    with naming(path.name):
+        return shown_titles(read_table(path))
+
+
+def _chosen(
+    source: Source, text: str, paths: Collection[Path], takes: Mapping[Path, Take]
+) -> TablePart:
+    """The part that a user names."""
+    option = option_of(source)
+    names = {path.name: path for path in paths} | {str(path): path for path in paths}
+    file, _, body = text.partition(":")
+    if file in names:
+        path = names[file]
+        if source not in _POSES or path not in takes:
+            return TablePart(path)
+        if not body:
+            body = _body_of(source, takes[path]) or ""
+        if not body:
+            bodies = listed(takes[path].names, _MAX_LISTED) or "none"
+            raise TrialError(
+                f"{path.name}: cannot tell which body is the {in_words(source)} (it has {bodies})",
+                f"name it with {option} {path.name}:BODY",
+            )
+        return TablePart(path, body)
+    if source in _POSES and len(takes) == 1:
+        return TablePart(next(iter(takes)), text)
+    raise TrialError(f"{text} of {option} is none of the tables", closest(file, {*names}))
+
+
+def _body_of(source: Source, take: Take) -> str | None:
+    """The body of a take whose name says the source, or None.
+
+    Raises:
+        TrialError: If several do.
+    """
+    suited = [name for name in take.names if any(w in name.lower() for w in WORDS[source])]
+    if len(suited) > 1:
+        raise TrialError(
+            f"{take.path.name}: {listed(suited, _MAX_LISTED)} may each be the {in_words(source)}",
+            f"choose with {option_of(source)} {take.path.name}:BODY",
+        )
+    return suited[0] if suited else None
+
+
+def _suited(
+    source: Source,
+    takes: Mapping[Path, Take],
+    tables: Sequence[Path],
+    stated: TableFormat,
+    taken: Collection[str],
+) -> TablePart | None:
+    """The part whose columns or bodies tell that it is a source; None if there is none."""
+    if source in _POSES:
+        parts = [TablePart(path, _body_of(source, take) or "") for path, take in takes.items()]
+        suited = [part for part in parts if part.body and str(part) not in taken]
+    else:
+        is_own = is_wrench if source == "wrench" else are_clusters
+        suited = []
+        for path in tables:
+            with naming(path.name):
+                if is_own(read_table(path), stated):
+                    suited.append(TablePart(path))
+    if len(suited) > 1:
+        raise TrialError(
+            f"{listed([str(part) for part in suited], _MAX_LISTED)} may each be the"
+            f" {in_words(source)}",
+            f"choose with {option_of(source)} FILE, or leave it out with {option_of(source)} none",
+        )
+    return suited[0] if suited else None
+
+
+def _refuse_unclear_bodies(
+    takes: Mapping[Path, Take], found: Mapping[Source, TablePart], chosen: Mapping[Source, str]
+) -> None:
+    """Ask which body is which where names do not tell it."""
+    lacking: list[Source] = [s for s in _POSES if s not in found and s not in chosen]
+    taken = {str(part) for part in found.values()}
+    for path, take in takes.items():
+        left = [name for name in take.names if str(TablePart(path, name)) not in taken]
+        if left and lacking:
+            options = " and ".join(f"{option_of(source)} {path.name}:BODY" for source in lacking)
+            raise TrialError(
+                f"{path.name}: cannot tell whose pose {listed(left, _MAX_LISTED)} is",
+                f"state it with {options}, or none instead of a body",
+            )
+
+
+def read_table_sources(
+    parts: Mapping[Source, TablePart],
+    stated: Mapping[Source, TableFormat],
+    geometry: SocketGeometry,
+) -> tuple[dict[Source, ForeignSource], list[OwnClock]]:
+    """What each source measured, at times of its own file, and the clocks of the files.
+
+    Args:
+        parts: The part of a file that each source is read from, see `propose_tables`.
+        stated: What the titles do not tell, by source.
+        geometry: The socket, for the markers of its bodies.
+
+    Returns:
+        The sources, and the clocks, that of the first source first.
+
+    Raises:
+        ConfigurationError: If a file cannot be read as such a source.
+    """
+    sources: dict[Source, ForeignSource] = {}
+    files: dict[str, list[tuple[Source, bool, int]]] = {}
+    takes: dict[Path, Take] = {}
+    for source, part in parts.items():
+        is_dated = False
+        if source in _POSES:
+            if not _is_take(part.path):
+                raise ConfigurationError(
+                    f"{part.path.name}: is no take of motion capture, for {option_of(source)}",
+                    "export it from Motive as CSV, with its header",
+                )
+            take = takes.get(part.path) or read_take(part.path)
+            series, notes = take_poses(take, part.body, geometry.markers[_POSES[source]])
+            notes = notes if part.path in takes else (*take.notes, *notes)
+            takes[part.path] = take
+            sources[source] = ForeignSource(str(part), f"{take.program} take", series, notes)
+        else:
+            read = read_wrench_table if source == "wrench" else read_cluster_table
+            table = read(part.path, stated[source])
+            is_dated, series = table.is_dated, table.series
+            sources[source] = ForeignSource(str(part), "table", series, table.notes)
+        start = int(sources[source].series.times[0])
+        files.setdefault(part.path.name, []).append((source, is_dated, start))
+    clocks = [
+        OwnClock(
+            file,
+            tuple(source for source, _, _ in own),
+            all(is_dated for _, is_dated, _ in own),
+            min(start for _, _, start in own),
+        )
+        for file, own in files.items()
+    ]
+    return sources, clocks

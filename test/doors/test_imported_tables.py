@@ -1,0 +1,205 @@
+"""Tables of other sensors become a trial: values, units, clocks and refusals by hand."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from support.takes import Written, write_take
+from support.verbs import call
+from support.wording import refused
+
+import socket_testbed as st
+from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.files import packaged
+from socket_testbed.trials.trial import Trial
+
+ROWS = 241  # two seconds at 120 Hz, as the take
+NAMES = ("brim_lateral", "distal")
+START_2000 = 946_684_800_000_000_000  # [ns]
+QUATERNION = np.array([0.0, 0.0, 0.6, 0.8])
+
+
+def cell(path: Path, start: float = 0.0) -> Path:
+    """Fz falls by 1 N in 10 ms, from -100 N at its own time `start` [s]; moments in N mm."""
+    rows = [f"{start + 0.01 * k:.2f};10;20;{-100 - k};1000;2000;3000" for k in range(201)]
+    titles = "Time (s);Fx (N);Fy (N);Fz (N);Mx (N mm);My (N mm);Mz (N mm)"
+    path.write_text("\n".join([titles, *rows, ""]))
+    return path
+
+
+def capacitances(path: Path, start: int = 0) -> Path:
+    """All rise by 0.001 pF in 10 ms, from 5.0, 5.1, ... pF at its own time `start` [ms]."""
+    titles = ",".join(f"{name}.{k} [pF]" for name in NAMES for k in range(4))
+    rows = []
+    for row in range(41):  # at 20 Hz
+        values = np.arange(5.0, 5.75, 0.1) + 0.005 * row
+        rows.append(f"{start + 50 * row}," + ",".join(f"{value:.4f}" for value in values))
+    path.write_text("\n".join([f"time [ms],{titles}", *rows, ""]))
+    return path
+
+
+def moving() -> Pose:
+    """A pose that moves by 1 mm in 10 ms along x."""
+    seconds = np.arange(ROWS) / 120.0
+    places = np.column_stack([0.1 * seconds, np.full((ROWS, 2), [0.2, 0.3])])
+    return Pose.from_quaternion(places, np.tile(QUATERNION, (ROWS, 1)))
+
+
+def take(path: Path, *names: str, unit: str = "Millimeters") -> Path:
+    bodies = {name: moving() for name in names or ("Socket", "Pylon")}
+    extra = {"extra": np.zeros((ROWS, 3))}
+    return write_take(Written(extra, {}, bodies, "1.23", unit), path)
+
+
+def opened(path: Path, *files: Path, **options: Any) -> tuple[Trial, list[str]]:
+    """The trial that tables become, and the notes."""
+    notes: list[str] = []
+    trial = st.import_trial([*files], path / "trial", notify=notes.append, **options)
+    return trial, notes
+
+
+def three(path: Path) -> list[Path]:
+    """Three tables that start together: the cell at 3 s, the take at 0, capacitances at 7 s."""
+    return [
+        cell(path / "cell.csv", 3.0),
+        take(path / "take.csv"),
+        capacitances(path / "caps.csv", 7000),
+    ]
+
+
+OFFSETS = {"socket_pose": 3.0, "clusters": -4.0}
+
+
+def test_three_tables_become_a_trial(tmp_path: Path) -> None:
+    """At 0, 0.25, ... 2 s of the common clock, which counts as that of the cell."""
+    trial, notes = opened(tmp_path, *three(tmp_path), offset=OFFSETS)
+    measured = trial.measurements()
+    times = measured.stamps - START_2000
+    assert times.tolist() == [3_000_000_000 + 250_000_000 * k for k in range(9)]
+    for row in range(9):
+        expected = [1.0, 2.0, 3.0, 10.0, 20.0, -100.0 - 25.0 * row]
+        np.testing.assert_allclose(measured.wrench[row], expected, atol=1e-9)
+    np.testing.assert_allclose(
+        measured.capacitance[4, 1], np.array([5.4, 5.5, 5.6, 5.7]) + 0.1, atol=1e-9
+    )
+    np.testing.assert_allclose(measured.pylon[4, :3], [0.1, 0.2, 0.3], atol=1e-6)
+    assert any("2000-01-01" in note for note in notes)
+
+
+def test_the_tables_stay_in_the_trial(tmp_path: Path) -> None:
+    files = three(tmp_path)
+    opened(tmp_path, *files, offset=OFFSETS)
+    for file in files:
+        copy = tmp_path / "trial" / "originals" / file.name
+        assert copy.read_bytes() == file.read_bytes()
+    record = yaml.safe_load((tmp_path / "trial" / "import.yaml").read_text())
+    assert record["files"] == ["cell.csv", "take.csv", "caps.csv"]
+    assert record["clocks"]["take.csv"] == {"offset": 3.0, "how": "stated"}
+    assert record["wrench"]["topic"] == "cell.csv"
+    assert record["pylon_pose"]["topic"] == "take.csv:Pylon"
+
+
+def test_clocks_of_their_own_need_offsets(tmp_path: Path) -> None:
+    with refused(ConfigurationError, "take.csv has a clock of its own", "--offset socket_pose=S"):
+        opened(tmp_path, *three(tmp_path))
+    with refused(ConfigurationError, "caps.csv", "--offset clusters=S"):
+        opened(tmp_path, *three(tmp_path), offset=["socket_pose=3"])
+
+
+def test_dated_tables_need_no_offset(tmp_path: Path) -> None:
+    cell_file = cell(tmp_path / "cell.csv", 1_714_910_400.0)
+    caps_file = capacitances(tmp_path / "caps.csv", 1_714_910_400_000)
+    trial, _ = opened(tmp_path, cell_file, caps_file)
+    assert trial.measurements().stamps[0] == 1_714_910_400_000_000_000
+
+
+def test_the_verb_makes_a_trial_of_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(file) for file in three(tmp_path)]
+    offsets = ["--offset", "socket_pose=3", "clusters=-4"]
+    code, out, _ = call(capsys, "import", *files, "-o", tmp_path / "trial", *offsets)
+    assert code == 0
+    assert "9 samples in 2.00 s, 2 clusters" in out
+
+
+def test_one_table_is_enough(tmp_path: Path) -> None:
+    trial, notes = opened(tmp_path, cell(tmp_path / "cell.csv"))
+    last = trial.measurements().wrench[-1]
+    np.testing.assert_allclose(last, [1.0, 2.0, 3.0, 10.0, 20.0, -300.0], atol=1e-9)
+    assert any("no clusters" in note for note in notes)
+
+
+def test_bodies_are_named_where_names_do_not_tell(tmp_path: Path) -> None:
+    file = take(tmp_path / "take.csv", "A", "B")
+    with refused(TrialError, "cannot tell whose pose A, B is", "--socket-pose take.csv:BODY"):
+        opened(tmp_path, file)
+    trial, _ = opened(tmp_path, file, socket_pose="A", pylon_pose="take.csv:B")
+    measured = trial.measurements()
+    np.testing.assert_allclose(measured.socket[4], [0.1, 0.2, 0.3, 0, 0, 0.6, 0.8], atol=1e-6)
+    np.testing.assert_allclose(measured.pylon, measured.socket)
+
+
+def test_markers_are_fitted_to_the_socket(tmp_path: Path) -> None:
+    """Markers of socket.yaml, moved by 1 mm in 10 ms without turning."""
+    bodies = read_socket(packaged("config", "socket.yaml")).markers
+    shift = np.column_stack([0.1 * np.arange(ROWS) / 120.0, np.full((ROWS, 2), [0.2, 0.3])])
+    markers = {
+        f"{title}:Marker{k + 1}": marker + shift
+        for title, body in (("Socket", "socket"), ("Limb", "pylon"))
+        for k, marker in enumerate(bodies[body])
+    }
+    file = write_take(Written(markers, unit="Meters"), tmp_path / "take.csv")
+    trial, notes = opened(tmp_path, file)
+    pose = trial.measurements().pylon[4]
+    np.testing.assert_allclose(pose[:3], [0.1, 0.2, 0.3], atol=2e-6)
+    np.testing.assert_allclose(np.abs(pose[3:]), [0, 0, 0, 1], atol=1e-4)
+    assert any("'Limb' is fitted to the markers of socket.yaml" in note for note in notes)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "another source": ({"offset": ["cell=1"]}, "offset names 'cell'"),
+    "no number": ({"offset": ["clusters=soon"]}, "the offset of clusters is 'soon'"),
+    "no file": ({"wrench": "ati.csv"}, "ati.csv of --wrench is none of the tables"),
+    "no body": ({"socket_pose": "take.csv:Shank"}, "has no body or marker 'Shank'"),
+    "a topic": ({"trigger": "/trigger"}, "tables hold no topic"),
+    "no title": ({"columns": {"Fx": "Ch1"}}, "no column is called 'Ch1'"),
+    "no column": ({"columns": {"force": "Fx"}}, "columns names 'force'"),
+    "no unit": ({"units": {"force": "V"}}, "'V' is no unit of force"),
+    "no quantity": ({"units": {"forces": "N"}}, "units names 'forces'"),
+    "two offsets": (
+        {"offset": {"socket_pose": 3, "pylon_pose": 4, "clusters": -4}},
+        "take.csv has one clock",
+    ),
+    "one left over": ({"wrench": "none", "offset": OFFSETS}, "cell.csv: is none of the sources"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_a_wrong_option_for_tables(tmp_path: Path, kind: str) -> None:
+    options, fact = WRONG[kind]
+    with refused(st.TestbedError, fact):
+        opened(tmp_path, *three(tmp_path), **{"offset": OFFSETS, **options})
+    assert not (tmp_path / "trial").exists()
+
+
+def test_tables_are_not_mixed_with_bags(tmp_path: Path) -> None:
+    with refused(TrialError, "is no table"):
+        opened(tmp_path, cell(tmp_path / "cell.csv"), tmp_path / "bag")
+
+
+def test_a_file_that_is_nothing(tmp_path: Path) -> None:
+    other = tmp_path / "emg.csv"
+    other.write_text("time [s],EMG1 [mV],EMG2 [mV]\n0,1,2\n1,2,3\n")
+    with refused(TrialError, "emg.csv: is none of the sources", "'EMG1 [mV]'"):
+        opened(tmp_path, cell(tmp_path / "cell.csv"), other)
+
+
+def test_two_load_cells(tmp_path: Path) -> None:
+    files = cell(tmp_path / "a.csv"), cell(tmp_path / "b.csv")
+    with refused(TrialError, "a.csv, b.csv may each be the wrench", "--wrench FILE"):
+        opened(tmp_path, *files)
