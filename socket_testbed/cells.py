@@ -163,8 +163,6 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
     Raises:
         ConfigurationError: If there is no row of numbers, or rows differ in their width.
     """
-    import pandas as pd  # imported late: not for --help
-
     lines = without_comments(text.replace("\r\n", "\n").replace("\r", "\n")).split("\n")
     notes = []
     if lines[-1].strip() and any(_DATA.match(line) for line in lines[:-1][-3:]):
@@ -195,16 +193,32 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
         titles = _padded(cells[-1], width)
         if len(cells) > 1 and fitting[0]:
             titles = units_below(_padded(cells[0], width), titles, units) or titles
-    body = "\n".join(lines[first:])
+    columns = _read_columns(lines[first:], first, separator, max(width, len(titles)))
+    columns.index += first + 1
+    blank = {k + 1 for k in range(first, len(lines)) if not lines[k].strip(f'{separator} \t"')}
+    columns = columns[~columns.index.isin(blank)]
+    has_titles = bool(titles)
+    if not has_titles:
+        titles = [f"column {number + 1}" for number in columns.columns]
+    kept_above = tuple(lines[k] for k in above if k < begin or not has_titles or k < above[-1])
+    preamble = tuple(line for line in lines[:begin] if line.strip()) + kept_above
+    return TextTable(preamble, tuple(titles), has_titles, columns, tuple(notes))
+
+
+def _read_columns(lines: Sequence[str], first: int, separator: str, width: int) -> pd.DataFrame:
+    """The cells of rows by column; the first row is line `first`, counted from 0."""
+    import pandas as pd  # imported late: not for --help
+
+    body = "\n".join(lines)
     if not separator:
-        body = re.sub(r"[ \t]+", "\t", "\n".join(line.strip() for line in lines[first:]))
-    has_comma = any("," in lines[k] for k in filled if k >= first)
+        body = re.sub(r"[ \t]+", "\t", "\n".join(line.strip() for line in lines))
+    has_comma = any("," in line for line in lines)
     try:
-        columns = pd.read_csv(
+        return pd.read_csv(
             io.StringIO(body),
             sep=separator or "\t",
             header=None,
-            names=range(max(width, len(titles))),
+            names=range(width),
             index_col=False,
             decimal="," if separator != "," and has_comma else ".",
             keep_default_na=False,
@@ -220,15 +234,6 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
         if fact:
             shown = f"line {int(fact[2]) + first} has {fact[3]} columns, others {fact[1]}"
         raise ConfigurationError(shown, _ONE_WIDTH) from None
-    columns.index += first + 1
-    blank = {k + 1 for k in range(first, len(lines)) if not lines[k].strip(f'{separator} \t"')}
-    columns = columns[~columns.index.isin(blank)]
-    has_titles = bool(titles)
-    if not has_titles:
-        titles = [f"column {number + 1}" for number in columns.columns]
-    kept_above = tuple(lines[k] for k in above if k < begin or not has_titles or k < above[-1])
-    preamble = tuple(line for line in lines[:begin] if line.strip()) + kept_above
-    return TextTable(preamble, tuple(titles), has_titles, columns, tuple(notes))
 
 
 def _after(lines: Sequence[str], mark: str) -> int:

@@ -349,10 +349,11 @@ def _find_columns(
 
 def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
     """Indices of the columns that match a quantity, by its name or the requested title."""
+    names = [split_title(title, _ALL_UNITS)[0] for title in header]
     if wanted is None:
-        return [i for i, title in enumerate(header) if split_title(title, _ALL_UNITS)[0].lower() == name]
+        return [i for i, title in enumerate(names) if title.lower() == name]
     exact = [i for i, title in enumerate(header) if title == wanted.strip()]
-    return exact or [i for i, title in enumerate(header) if split_title(title, _ALL_UNITS)[0] == wanted.strip()]
+    return exact or [i for i, title in enumerate(names) if title == wanted.strip()]
 
 
 def _with_unit(column: _Column, units: Mapping[str, str], area: float | None) -> _Column:

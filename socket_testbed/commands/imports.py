@@ -12,7 +12,8 @@ from socket_testbed.settings.options import ImportOptions, given
 @takes(calls.Import)
 def import_(call: calls.Import) -> None:
     """Make a trial from other sensors' topics or tables."""
-    trial = api.import_trial(call.source, call.output, **given(call, ImportOptions), notify=print_note)
+    options = given(call, ImportOptions)
+    trial = api.import_trial(call.source, call.output, **options, notify=print_note)
     samples = trial.samples()
     print(
         f"{call.output}: {len(samples)} samples in {samples.time[-1]:.2f} s,"

@@ -433,14 +433,14 @@ class ImportOptions(Options):
     )
     socket_pose: str | None = option(
         None,
-        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY of a"
-        " take, or none (default: found by type and name)",
+        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
+        " of a take, or none (default: found by type and name)",
         metavar="TOPIC",
     )
     pylon_pose: str | None = option(
         None,
-        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY of a"
-        " take, or none (default: found by type and name)",
+        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
+        " of a take, or none (default: found by type and name)",
         metavar="TOPIC",
     )
     clusters: str | None = option(
@@ -461,21 +461,21 @@ class ImportOptions(Options):
     trigger: str | None = option(
         None, "topic whose stamps are the triggers", metavar="TOPIC", either="triggers"
     )
-    offset: Iterable[str] = several(
+    offset: Sequence[str] = several(
         "what to add to the times of the table of wrench, socket_pose, pylon_pose or clusters, so"
         " that they count as those of the first table [s]",
         metavar="SOURCE=S",
     )
-    columns: Iterable[str] = several(
+    columns: Sequence[str] = several(
         "titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0",
         metavar="WHAT=TITLE",
     )
-    units: Iterable[str] = several(
+    units: Sequence[str] = several(
         "units of tables, for time, force, moment, capacitance or stress; they override those of"
         " the titles",
         metavar="WHAT=UNIT",
     )
-    row_rate: Iterable[str] = several(
+    row_rate: Sequence[str] = several(
         "rate of the rows of a source's table without times [Hz]", metavar="SOURCE=HZ"
     )
     delay: Iterable[str] = several(

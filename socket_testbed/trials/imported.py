@@ -1,7 +1,8 @@
 """Writes a trial from sources that know no trigger, and the record of how it was made.
 
 The trial holds the testbed's topics, one message per trigger, and beside them the messages or
-tables from which they were made, unchanged. `import.yaml` in its folder states the mapping, delays and windows.
+tables from which they were made, unchanged. `import.yaml` in its folder states the mapping, delays
+and windows.
 """
 
 from __future__ import annotations
@@ -109,8 +110,8 @@ class SourceMapping(Document):
     clusters: ClustersDocument = field(default_factory=ClustersDocument)
     rate: Annotated[float, Meta(ge=0.1, le=1000.0)] | None = None
     trigger: str | None = None
-    columns: dict[str, str] = {}
-    units: dict[str, str] = {}
+    columns: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
 
 def in_load_cell(values: FloatArray, mapping: WrenchDocument) -> FloatArray:

@@ -12,9 +12,9 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.files import packaged
 from socket_testbed.trials.trial import Trial
 
 ROWS = 241  # two seconds at 120 Hz, as the take

@@ -25,6 +25,7 @@ from socket_testbed.simulation.trial import SimulatedTrial, random_streams, simu
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.wire import cdr
 from socket_testbed.wire.topics import Topic
+from support.takes import Written, write_take
 
 WRENCH, SOCKET, LIMB = "/ft_sensor/wrench", "/vicon/socket/pose", "/vicon/limb/pose"
 CAPACITANCES = "/clusters_uc"
@@ -250,3 +251,40 @@ def _messages(topic: str, readings: Readings) -> Messages:
         else:
             fields = {"header": header(stamp, "world"), "pose": pose_fields(values)}
         yield arrival, fields
+
+
+def write_tables(
+    folder: Path, trial: SimulatedTrial, starts: tuple[float, float, float], lab: ForeignLab
+) -> list[Path]:
+    """What a laboratory's sources measure of a trial, as tables: cell, take and capacitances.
+
+    Args:
+        folder: Where they are written.
+        trial: The simulated trial.
+        starts: Time at which the clock of each table is zero, since the first trigger [s].
+        lab: How the sources measure.
+    """
+    sent = measure(trial, lab)
+
+    def own_times(topic: str, start: float) -> FloatArray:
+        readings = sent[topic]
+        stamps = readings.arrivals if readings.stamps is None else readings.stamps
+        return np.asarray((stamps - trial.stamps[0]) * 1e-9 - start)
+
+    cell = np.column_stack([own_times(WRENCH, starts[0]), sent[WRENCH].values])
+    titles = "Time [s],Mx [N m],My [N m],Mz [N m],Fx [N],Fy [N],Fz [N]"
+    np.savetxt(folder / "cell.csv", cell, "%.6f", ",", header=titles, comments="")
+    frames = np.round((own_times(LIMB, starts[1])) * lab.pose_rate).astype(int)
+    poses = np.full((int(frames.max()) + 1, 2, 7), np.nan)
+    for body, topic in enumerate((SOCKET, LIMB)):
+        rows = np.round(own_times(topic, starts[1]) * lab.pose_rate).astype(int)
+        poses[rows[rows >= 0], body] = sent[topic].values[rows >= 0]
+    bodies = {name: Pose.from_vector(poses[:, k]) for k, name in enumerate(("Socket", "Limb"))}
+    take = Written({"extra": np.zeros((len(poses), 3))}, {}, bodies)
+    write_take(take, folder / "take.csv", lab.pose_rate)
+    values = sent[CAPACITANCES].values
+    names = [f"{name}.{k} [pF]" for name in trial.capacitance for k in range(4)]
+    caps = np.column_stack([1e3 * own_times(CAPACITANCES, starts[2]), values])
+    titles = ",".join(["millis", *names])
+    np.savetxt(folder / "caps.csv", caps, "%.6f", ",", header=titles, comments="")
+    return [folder / "cell.csv", folder / "take.csv", folder / "caps.csv"]
