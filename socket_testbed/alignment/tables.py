@@ -62,7 +62,9 @@ class _Rows(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_wrench_table(path: Path, stated: TableFormat | None = None) -> TableSeries:
+def read_wrench_table(
+    path: Path, stated: TableFormat | None = None, table: TextTable | None = None
+) -> TableSeries:
     """Read the wrench of a load cell from a table with a column for each component.
 
     Titles such as `Fx [N]`, `Force X (lbf)`, `fx_N`, `Mz [N mm]` or `/ft/wrench.torque.z` tell the
@@ -71,6 +73,7 @@ def read_wrench_table(path: Path, stated: TableFormat | None = None) -> TableSer
     Args:
         path: The file.
         stated: What its titles do not tell.
+        table: Its table, if it is read already.
 
     Raises:
         ConfigurationError: If the file cannot be read, a component, a unit or the time is missing
@@ -78,7 +81,7 @@ def read_wrench_table(path: Path, stated: TableFormat | None = None) -> TableSer
     """
     stated = stated or TableFormat()
     with naming(path.name):
-        table = read_table(path)
+        table = read_table(path) if table is None else table
         columns = _wrench_columns(table, stated.columns)
         if missing := [name for name in COMPONENTS if name not in columns]:
             raise ConfigurationError(
@@ -152,7 +155,9 @@ def are_clusters(table: TextTable, stated: TableFormat) -> bool:
     return left in (4 * len(stated.names), 3 * len(stated.names))
 
 
-def read_cluster_table(path: Path, stated: TableFormat | None = None) -> TableSeries:
+def read_cluster_table(
+    path: Path, stated: TableFormat | None = None, table: TextTable | None = None
+) -> TableSeries:
     """Read capacitances or stresses of clusters from a table with a column for each channel.
 
     Titles such as `distal.0 [pF]` or `distal c0 (fF)` tell cluster and converter input; a stress is
@@ -163,6 +168,7 @@ def read_cluster_table(path: Path, stated: TableFormat | None = None) -> TableSe
     Args:
         path: The file.
         stated: What its titles do not tell.
+        table: Its table, if it is read already.
 
     Raises:
         ConfigurationError: If the file cannot be read, a channel, a unit or the time is missing or
@@ -170,7 +176,7 @@ def read_cluster_table(path: Path, stated: TableFormat | None = None) -> TableSe
     """
     stated = stated or TableFormat()
     with naming(path.name):
-        table = read_table(path)
+        table = read_table(path) if table is None else table
         columns, kind = _cluster_columns(table, stated)
         kinds = dict.fromkeys(columns, kind)
         values = values_of(table, columns, kinds, stated)

@@ -245,8 +245,9 @@ def _from_tables(
         for name, own in at.items()
     }
     named = {name: own.topic for name, own in at.items() if own.topic is not None}
-    parts = foreign_tables.propose_tables(paths, named, formats["clusters"])
-    sources, clocks = foreign_tables.read_table_sources(parts, formats, socket)
+    files = foreign_tables.read_files(paths)
+    parts = foreign_tables.propose_tables(files, named, formats["clusters"])
+    sources, clocks = foreign_tables.read_table_sources(parts, files, formats, socket)
     stated = {name: own.offset for name, own in at.items() if own.offset is not None}
     offsets = stated_offsets(clocks, stated)
     are_dated = all(clock.is_dated for clock in clocks)

@@ -23,6 +23,7 @@ from socket_testbed.alignment.tables import (
 )
 from socket_testbed.alignment.takes import Take, is_take, read_take, take_poses
 from socket_testbed.alignment.units import UNITS, factor
+from socket_testbed.cells import TextTable
 from socket_testbed.errors import ConfigurationError, TrialError, closest, listed, naming, option_of
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.trials.foreign import NONE, SOURCES, WORDS, ForeignSource, Source, in_words
@@ -67,13 +68,37 @@ def are_tables(paths: Sequence[Path]) -> bool:
     return bool(tables)
 
 
+def read_files(paths: Sequence[Path]) -> dict[Path, Take | TextTable]:
+    """Takes of motion capture and other tables, by their files.
+
+    Args:
+        paths: The files.
+
+    Raises:
+        TrialError: If two files have one name.
+        ConfigurationError: If a file cannot be read.
+        RegistrationError: If a take is not complete.
+    """
+    names = [path.name for path in paths]
+    if again := [name for name in names if names.count(name) > 1]:
+        raise TrialError(f"two tables are called {again[0]}", "rename one")
+    found: dict[Path, Take | TextTable] = {}
+    for path in paths:
+        if is_take(table_text(path)[:4096]):
+            found[path] = read_take(path)
+        else:
+            with naming(path.name):
+                found[path] = read_table(path)
+    return found
+
+
 def propose_tables(
-    paths: Sequence[Path], chosen: Mapping[Source, str], stated: TableFormat
+    files: Mapping[Path, Take | TextTable], chosen: Mapping[Source, str], stated: TableFormat
 ) -> dict[Source, TablePart]:
     """The file of each source: those chosen, and for others what the columns tell.
 
     Args:
-        paths: The tables.
+        files: The tables, see `read_files`.
         chosen: By source a file's name, `FILE:BODY` or a body of the only take; `none` for a source
             that is left out.
         stated: What the titles do not tell.
@@ -84,15 +109,13 @@ def propose_tables(
     Raises:
         TrialError: If a chosen file or body is not there, several suit, or a file is none of them.
     """
-    if again := [path.name for path in paths if [p.name for p in paths].count(path.name) > 1]:
-        raise TrialError(f"two tables are called {again[0]}", "rename one")
-    _refuse_unknown_names(paths, stated)
-    takes = {path: read_take(path) for path in paths if _is_take(path)}
-    tables = [path for path in paths if path not in takes]
+    takes = {path: table for path, table in files.items() if isinstance(table, Take)}
+    tables = {path: table for path, table in files.items() if not isinstance(table, Take)}
+    _refuse_unknown_names(tables, stated)
     found: dict[Source, TablePart] = {}
     for source, text in chosen.items():
         if text != NONE:
-            found[source] = _chosen(source, text, paths, takes)
+            found[source] = _chosen(source, text, files, takes)
     for source in SOURCES:
         if source not in chosen:
             own = _suited(source, takes, tables, stated, [str(part) for part in found.values()])
@@ -100,9 +123,13 @@ def propose_tables(
                 found[source] = own
     _refuse_unclear_bodies(takes, found, chosen)
     used = {part.path for part in found.values()}
-    for path in paths:
+    for path in files:
         if path not in used:
-            what = listed(takes[path].names, _MAX_LISTED) if path in takes else _titles(path)
+            what = (
+                listed(takes[path].names, _MAX_LISTED)
+                if path in takes
+                else shown_titles(tables[path])
+            )
             raise TrialError(
                 f"{path.name}: is none of the sources (it has {what})",
                 f"state what it is, such as {option_of('wrench')} {path.name}, or leave it out",
@@ -110,7 +137,7 @@ def propose_tables(
     return found
 
 
-def _refuse_unknown_names(paths: Sequence[Path], stated: TableFormat) -> None:
+def _refuse_unknown_names(tables: Mapping[Path, TextTable], stated: TableFormat) -> None:
     """Refuse columns and units of quantities that nothing has, and titles that no table has."""
     for quantity, unit in stated.units.items():
         if quantity not in UNITS:
@@ -122,19 +149,10 @@ def _refuse_unknown_names(paths: Sequence[Path], stated: TableFormat) -> None:
         if what != "time" and what not in COMPONENTS and "." not in what:
             hint = "name time, Fx to Mz, or a channel such as distal.0"
             raise ConfigurationError(f"columns names '{what}'", hint)
-        if not any(has_column(read_table(path), title) for path in paths if not _is_take(path)):
-            names = ", ".join(path.name for path in paths)
+        if not any(has_column(table, title) for table in tables.values()):
+            names = ", ".join(path.name for path in tables)
             fact = f"no column is called '{title}', named for {what}, in {names}"
             raise ConfigurationError(fact, "check its title")
-
-
-def _is_take(path: Path) -> bool:
-    return is_take(table_text(path)[:4096])
-
-
-def _titles(path: Path) -> str:
-    with naming(path.name):
-        return shown_titles(read_table(path))
 
 
 def _chosen(
@@ -180,7 +198,7 @@ def _body_of(source: Source, take: Take) -> str | None:
 def _suited(
     source: Source,
     takes: Mapping[Path, Take],
-    tables: Sequence[Path],
+    tables: Mapping[Path, TextTable],
     stated: TableFormat,
     taken: Collection[str],
 ) -> TablePart | None:
@@ -191,9 +209,9 @@ def _suited(
     else:
         is_own = is_wrench if source == "wrench" else are_clusters
         suited = []
-        for path in tables:
+        for path, table in tables.items():
             with naming(path.name):
-                if is_own(read_table(path), stated):
+                if is_own(table, stated):
                     suited.append(TablePart(path))
     if len(suited) > 1:
         raise TrialError(
@@ -222,6 +240,7 @@ def _refuse_unclear_bodies(
 
 def read_table_sources(
     parts: Mapping[Source, TablePart],
+    tables: Mapping[Path, Take | TextTable],
     stated: Mapping[Source, TableFormat],
     geometry: SocketGeometry,
 ) -> tuple[dict[Source, ForeignSource], list[OwnClock]]:
@@ -229,6 +248,7 @@ def read_table_sources(
 
     Args:
         parts: The part of a file that each source is read from, see `propose_tables`.
+        tables: The tables, see `read_files`.
         stated: What the titles do not tell, by source.
         geometry: The socket, for the markers of its bodies.
 
@@ -240,25 +260,29 @@ def read_table_sources(
     """
     sources: dict[Source, ForeignSource] = {}
     files: dict[str, list[tuple[Source, bool, int]]] = {}
-    takes: dict[Path, Take] = {}
+    noted: set[Path] = set()
     for source, part in parts.items():
-        is_dated = False
+        is_dated, table = False, tables[part.path]
         if source in _POSES:
-            if not _is_take(part.path):
+            if not isinstance(table, Take):
                 raise ConfigurationError(
                     f"{part.path.name}: is no take of motion capture, for {option_of(source)}",
                     "export it from Motive as CSV, with its header",
                 )
-            take = takes.get(part.path) or read_take(part.path)
-            series, notes = take_poses(take, part.body, geometry.markers[_POSES[source]])
-            notes = notes if part.path in takes else (*take.notes, *notes)
-            takes[part.path] = take
-            sources[source] = ForeignSource(str(part), f"{take.program} take", series, notes)
+            series, notes = take_poses(table, part.body, geometry.markers[_POSES[source]])
+            notes = notes if part.path in noted else (*table.notes, *notes)
+            noted.add(part.path)
+            sources[source] = ForeignSource(str(part), f"{table.program} take", series, notes)
+        elif isinstance(table, Take):
+            raise ConfigurationError(
+                f"{part.path.name}: is a take of motion capture, not the {in_words(source)}",
+                f"name another file with {option_of(source)}",
+            )
         else:
             read = read_wrench_table if source == "wrench" else read_cluster_table
-            table = read(part.path, stated[source])
-            is_dated, series = table.is_dated, table.series
-            sources[source] = ForeignSource(str(part), "table", series, table.notes)
+            own = read(part.path, stated[source], table)
+            is_dated = own.is_dated
+            sources[source] = ForeignSource(str(part), "table", own.series, own.notes)
         start = int(sources[source].series.times[0])
         files.setdefault(part.path.name, []).append((source, is_dated, start))
     clocks = [
