@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from socket_testbed.alignment.align import Series
+from socket_testbed.alignment.events import Tap
 from socket_testbed.errors import ConfigurationError, closest, listed
 
 _SECOND = 1_000_000_000  # [ns]
@@ -48,7 +49,7 @@ class Offset:
 
 
 def stated_offsets(
-    clocks: Sequence[OwnClock], stated: Mapping[str, float], *, complete: bool = True
+    clocks: Sequence[OwnClock], stated: Mapping[str, float], found: Collection[str] = ()
 ) -> dict[str, Offset]:
     """Offsets of files from what is stated by source.
 
@@ -58,16 +59,16 @@ def stated_offsets(
     Args:
         clocks: The clocks of the files, that of the reference first.
         stated: Offsets by source [s].
-        complete: Whether a missing one is refused; else it is 0.
+        found: Sources whose files need none, because it is found otherwise; left out of the result.
 
     Raises:
         ConfigurationError: If one is missing, or a source has none in these files.
     """
     known = [source for clock in clocks for source in clock.sources]
-    if unknown := [source for source in stated if source not in known]:
+    if unknown := [source for source in (*stated, *found) if source not in known]:
         raise ConfigurationError(f"offset names '{unknown[0]}'", closest(unknown[0], known))
     are_dated = all(clock.is_dated for clock in clocks)
-    found: dict[str, Offset] = {}
+    offsets: dict[str, Offset] = {}
     for number, clock in enumerate(clocks):
         own = {stated[source] for source in clock.sources if source in stated}
         if len(own) > 1:
@@ -75,32 +76,46 @@ def stated_offsets(
             fact = f"{clock.file} has one clock, and the offsets {shown} s"
             raise ConfigurationError(fact, "state one offset for its sources")
         if own:
-            found[clock.file] = Offset(own.pop())
+            offsets[clock.file] = Offset(own.pop())
         elif are_dated or number == 0:
-            found[clock.file] = Offset(0.0, how="dates" if are_dated else "reference")
-        elif complete:
+            offsets[clock.file] = Offset(0.0, how="dates" if are_dated else "reference")
+        elif not {*found} & {*clock.sources}:
             raise ConfigurationError(
                 f"{clock.file} has a clock of its own",
                 f"state what to add to its times with --offset {clock.sources[0]}=S, counted as"
-                f" those of {clocks[0].file}, or find it with --clocks tap or --clocks load",
+                f" those of {clocks[0].file}, or S=tap if both see a tap",
             )
-        else:
-            found[clock.file] = Offset(0.0, how="assumed")
-    return found
+    return offsets
 
 
-def to_common_clock(series: Series, clock: OwnClock, offset: Offset, are_dated: bool) -> Series:
+def offset_by_tap(reference: tuple[OwnClock, Tap], other: tuple[OwnClock, Tap]) -> Offset:
+    """The offset of a file whose tap is that of the reference.
+
+    Args:
+        reference: The clock of the reference, and when its source saw the tap.
+        other: The clock of the file, and when its source saw the tap.
+    """
+    own = [tap.time - (clock.start if clock.is_dated else 0) for clock, tap in (reference, other)]
+    error = (reference[1].error ** 2 + other[1].error ** 2) ** 0.5
+    return Offset((own[0] - own[1]) / _SECOND, error, "tap")
+
+
+def to_common_clock(
+    series: Series, clock: OwnClock, offset: Offset, reference: OwnClock | None
+) -> Series:
     """A series at times of the common clock.
 
     Args:
         series: What a source of the file measured, at times of the file.
         clock: The clock of its file.
         offset: The offset of the file.
-        are_dated: Whether all files tell the date.
+        reference: The clock of the file from whose start, or whose 0 if it is not dated, offsets
+            count; None if all files tell the date, which offsets correct.
     """
     shift = round(offset.seconds * _SECOND)
-    if not are_dated:
-        shift += UNDATED - (clock.start if clock.is_dated else 0)
+    if reference is not None:
+        shift += reference.start if reference.is_dated else UNDATED
+        shift -= clock.start if clock.is_dated else 0
     return dataclasses.replace(series, times=series.times + shift)
 
 

@@ -51,6 +51,15 @@ class Delay:
         """Delay of the load behind the source."""
         return Delay(-self.delay, -self.high, -self.low, self.agreement)
 
+    def later(self, seconds: float) -> Delay:
+        """This delay behind another one, as a delay behind the measurement.
+
+        Args:
+            seconds: Delay behind the measurement of that which this one is behind [s].
+        """
+        ends = self.delay + seconds, self.low + seconds, self.high + seconds
+        return Delay(*ends, self.agreement)
+
     def __str__(self) -> str:
         return f"{1e3 * self.delay:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f} ms)"
 

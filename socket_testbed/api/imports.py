@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -12,14 +12,9 @@ import msgspec
 import numpy as np
 
 from socket_testbed.alignment.align import Aligned, align
-from socket_testbed.alignment.common_clock import (
-    MAX_OFFSET,
-    clocks_in_words,
-    stated_offsets,
-    to_common_clock,
-)
-from socket_testbed.alignment.series import ClusterSeries
-from socket_testbed.alignment.table_file import TableFormat
+from socket_testbed.alignment.common_clock import MAX_OFFSET
+from socket_testbed.alignment.delay import Delay, find_delay
+from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
 from socket_testbed.alignment.triggers import triggers_at
 from socket_testbed.api.trials import as_path, open_trial
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period
@@ -36,6 +31,7 @@ from socket_testbed.settings.alignment import MAX_DELAY
 from socket_testbed.settings.options import WrenchOf
 from socket_testbed.trials import foreign, foreign_tables, imported
 from socket_testbed.trials.bag import BagReader, RawMessage
+from socket_testbed.trials.segment import parse_span
 from socket_testbed.trials.trial import Trial, read_configuration
 
 _CLEAR_LOAD = 50.0  # [N]; above which the load shows the sign of the wrench
@@ -52,11 +48,12 @@ def import_trial(
     names: Sequence[str] = (),
     rate: float | None = None,
     trigger: str | None = None,
-    offset: Sequence[str] | Mapping[str, float] = (),
+    offset: Sequence[str] | Mapping[str, float | str] = (),
+    tap: str | tuple[float, float] | None = None,
     columns: Sequence[str] | Mapping[str, str] = (),
     units: Sequence[str] | Mapping[str, str] = (),
     row_rate: Sequence[str] | Mapping[str, float] = (),
-    delay: Iterable[str] | Mapping[str, float] = (),
+    delay: Iterable[str] | Mapping[str, float | str] = (),
     wrench_of: WrenchOf | None = None,
     mapping: PathLike | None = None,
     geometry: PathLike | None = None,
@@ -85,13 +82,15 @@ def import_trial(
             trigger is given).
         trigger: Topic whose stamps are the triggers.
         offset: What to add to the times of the table of wrench, socket_pose, pylon_pose or
-            clusters, so that they count as those of the first table [s].
+            clusters, so that they count as those of the first table [s]; tap if both see one tap.
+        tap: Seconds since the start of each table in which the tap is, as T0:T1 (default: any).
         columns: Titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0.
         units: Units of tables, for time, force, moment, capacitance or stress; they override those
             of the titles.
         row_rate: Rate of the rows of a source's table without times [Hz].
         delay: Delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the
-            measurement [s].
+            measurement [s]; auto finds it against the load, from a minute of brisk pushing, see
+            `alignment.delay.find_delay`.
         wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
             socket on the limb, which is negated (default: limb).
         mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
@@ -119,9 +118,9 @@ def import_trial(
         "clusters": clusters,
     }
     numbers = {
-        "delay": _by_source(delay, "delay", -MAX_DELAY, MAX_DELAY),
-        "offset": _by_source(offset, "offset", -MAX_OFFSET, MAX_OFFSET),
-        "row_rate": _by_source(row_rate, "row_rate", 0.1, 20000.0),
+        "delay": _by_source(delay, "delay", (-MAX_DELAY, MAX_DELAY), imported.AUTO),
+        "offset": _by_source(offset, "offset", (-MAX_OFFSET, MAX_OFFSET), imported.TAP),
+        "row_rate": _by_source(row_rate, "row_rate", (0.1, 20000.0)),
     }
     chosen = _mapping(as_path(mapping), given, numbers, names, wrench_of)
     chosen = msgspec.structs.replace(
@@ -130,77 +129,77 @@ def import_trial(
         units={**chosen.units, **_pairs(units, "units", "a quantity and its unit")},
     )
     chosen = _with_triggers(chosen, rate, trigger)
-    files = as_path(geometry), as_path(calibration)
-    configuration = read_configuration(*files)
-    socket = read_socket(file_or_packaged(files[0], SOCKET_FILE))
-    coefficients = read_calibration(file_or_packaged(files[1], CALIBRATION_FILE))
-    tables = foreign_tables.are_tables(paths)
-    read = _from_tables(paths, chosen, socket) if tables else _from_bag(paths[0], chosen)
-    sources, received = read.sources, read.messages
-    for note in read.notes:
-        notify(note)
-    for lacking in foreign.SOURCES:
-        if lacking not in sources:
-            notify(foreign.LACKING[lacking])
-    for place, own in sources.items():
-        notify(_in_words(place, own))
-        for note in own.notes:
-            notify(note)
-    triggers = _triggers(chosen, sources, received)
-    period = 1e-9 * usual_period(triggers) if len(triggers) > 1 else 0.0
-    aligned: dict[str, Aligned] = {
-        name: align(own.series, triggers, getattr(chosen, name).settings, period)
-        for name, own in sources.items()
-    }
-    _refuse_nothing(aligned, sources, triggers)
-    record: dict[str, Any] = {**read.record, "triggers": _trigger_record(chosen, triggers)}
-    for place, values_of in aligned.items():
-        settings = getattr(chosen, place).settings
-        window = averaging_span(settings.window, period)
-        record[place] = {
-            "topic": sources[place].topic,
-            "type": sources[place].type,
-            **imported.described(values_of, settings, window),
-        }
-    record["notes"] = [note for own in sources.values() for note in own.notes]
-    if "wrench" in aligned:
-        values = imported.in_load_cell(aligned["wrench"].values, chosen.wrench)
-        aligned["wrench"] = _replaced(aligned["wrench"], values)
-        record["wrench"]["of"] = chosen.wrench.of
-        if chosen.wrench.pose is not None:
-            record["wrench"]["pose"] = msgspec.to_builtins(chosen.wrench.pose)
-        if doubt := _sign_doubt(values, socket, chosen.wrench.of):
-            notify(doubt)
-    cluster_values = _cluster_values(sources, aligned, coefficients, triggers, notify)
-    originals = (message for each in received.values() for message in each)
-    imported.write_imported_trial(
-        output,
-        triggers,
-        aligned,
-        cluster_values,
-        [*originals],
-        configuration,
-        record,
-        paths if tables else (),
+    if foreign_tables.are_tables(paths):
+        recording = _read_tables(paths, chosen, as_path(geometry), tap, notify)
+    else:
+        recording = _read_bag(paths[0], chosen, notify)
+    return trial_of(
+        recording, output, chosen, as_path(geometry), as_path(calibration), notify=notify
     )
-    return open_trial(output, notify=notify)
 
 
 @dataclass(frozen=True)
-class _Read:
-    """What was read from a bag or tables.
+class Recording:
+    """What other sensors recorded, whether in a bag or in tables.
 
     Attributes:
-        sources: What each source measured, by its name, on one clock.
-        messages: The messages of a bag by topic.
-        record: What `import.yaml` states of where it is from.
-        notes: Remarks for the user.
+        name: Name of the bag or of the first table, for the record.
+        sources: The measurements, on one clock.
+        triggers: Times of the triggers of a topic, shape (N,) [ns]; None for the mapping's rate.
+        messages: The messages from which the measurements come; the trial stores them unchanged.
+        files: The tables from which they come, by name; the trial stores them unchanged.
+        record: What `import.yaml` states of the tables.
     """
 
-    sources: Mapping[str, foreign.ForeignSource]
-    messages: Mapping[str, Sequence[RawMessage]]
-    record: Mapping[str, Any]
-    notes: Sequence[str]
+    name: str
+    sources: Mapping[foreign.Source, foreign.ForeignSource]
+    triggers: IntArray | None = None
+    messages: Sequence[RawMessage] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    record: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _read_bag(
+    source: Path, chosen: imported.SourceMapping, notify: Callable[[str], None]
+) -> Recording:
+    """What a bag's topics measured."""
+    with BagReader(source) as reader:
+        for note in reader.notes:
+            notify(note)
+        stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
+        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
+        if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
+            known = [name for name, count in reader.counts.items() if count]
+            fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
+            raise TrialError(fact, closest(chosen.trigger, known))
+        received = foreign.read_messages(reader, found, chosen.trigger)
+    sources = {
+        name: foreign.read_source(name, at, received, chosen.clusters.names)
+        for name, at in found.items()
+    }
+    triggers = None
+    if chosen.trigger is not None:
+        triggers = foreign.read_stamps(received.get(chosen.trigger, ()))
+        if not len(triggers):
+            raise TrialError(f"{chosen.trigger}: no message can be decoded", "give --rate instead")
+    messages = [message for each in received.values() for message in each]
+    return Recording(source.name, sources, triggers, messages)
+
+
+def _read_tables(
+    paths: Sequence[Path],
+    chosen: imported.SourceMapping,
+    geometry: Path | None,
+    tap: str | tuple[float, float] | None,
+    notify: Callable[[str], None],
+) -> Recording:
+    """What tables hold, on one clock."""
+    span = parse_span(tap, "--tap") if isinstance(tap, str) else tap
+    socket = read_socket(file_or_packaged(geometry, SOCKET_FILE))
+    tables = foreign_tables.read_tables(paths, chosen, socket, span)
+    for note in tables.notes:
+        notify(note)
+    return Recording(paths[0].name, tables.sources, files=tables.files, record=tables.record)
 
 
 def _paths(source: PathLike | Sequence[PathLike]) -> list[Path]:
@@ -215,69 +214,147 @@ def _paths(source: PathLike | Sequence[PathLike]) -> list[Path]:
     return paths
 
 
-def _from_bag(path: Path, chosen: imported.SourceMapping) -> _Read:
-    """The sources of a bag."""
-    with BagReader(path) as reader:
-        notes = list(reader.notes)
-        stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
-        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
-        if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
-            known = [name for name, count in reader.counts.items() if count]
-            fact = f"{path}: the topic {chosen.trigger} of --trigger holds no message"
-            raise TrialError(fact, closest(chosen.trigger, known))
-        received = foreign.read_messages(reader, found, chosen.trigger)
-    sources = {
-        name: foreign.read_source(name, at, received, chosen.clusters.names)
-        for name, at in found.items()
+def trial_of(
+    recording: Recording,
+    path: Path,
+    chosen: imported.SourceMapping,
+    geometry: Path | None = None,
+    calibration: Path | None = None,
+    *,
+    notify: Callable[[str], None],
+) -> Trial:
+    """Make a trial of what other sensors recorded.
+
+    Args:
+        recording: What they recorded.
+        path: Folder of the new trial.
+        chosen: How it is brought to triggers; its topics do not matter here.
+        geometry: A socket.yaml; None for the package's own.
+        calibration: A calibration.yaml; None for the package's own.
+        notify: Called with each note.
+
+    Raises:
+        TrialError: If a source has no value at any trigger, or the sources share no time.
+        ConfigurationError: If a file is wrong, or the folder exists.
+    """
+    configuration = read_configuration(geometry, calibration)
+    socket = read_socket(file_or_packaged(geometry, SOCKET_FILE))
+    coefficients = read_calibration(file_or_packaged(calibration, CALIBRATION_FILE))
+    sources = recording.sources
+    for lacking in foreign.SOURCES:
+        if lacking not in sources:
+            notify(foreign.LACKING[lacking])
+    for place, own in sources.items():
+        notify(_in_words(place, own))
+        for note in own.notes:
+            notify(note)
+    delays = _delays_of(sources, chosen, notify)
+    triggers = recording.triggers
+    if triggers is None:
+        assert chosen.rate is not None
+        named = {f"the {foreign.in_words(name)}": own.series for name, own in sources.items()}
+        seconds = {f"the {foreign.in_words(name)}": own.delay for name, own in delays.items()}
+        triggers = triggers_at(chosen.rate, named, seconds)
+    period = 1e-9 * usual_period(triggers) if len(triggers) > 1 else 0.0
+    settings = {name: getattr(chosen, name).settings(delays[name].delay) for name in sources}
+    aligned: dict[foreign.Source, Aligned] = {
+        name: align(own.series, triggers, settings[name], period) for name, own in sources.items()
     }
-    return _Read(sources, received, {"bag": path.name}, notes)
+    _refuse_nothing(aligned, sources, triggers)
+    record: dict[str, Any] = {"from": recording.name, **recording.record}
+    record["triggers"] = _trigger_record(chosen, triggers)
+    for name, own in sources.items():
+        window = averaging_span(settings[name].window, period)
+        record[name] = {"topic": own.topic, "type": own.type}
+        record[name] |= imported.described(aligned[name], settings[name], window)
+        if getattr(chosen, name).delay == imported.AUTO:
+            ends = delays[name].low, delays[name].high
+            record[name]["delay_interval"] = [round(end, 6) for end in ends]
+    record["notes"] = [note for own in sources.values() for note in own.notes]
+    if "wrench" in aligned:
+        values = imported.in_load_cell(aligned["wrench"].values, chosen.wrench)
+        aligned["wrench"] = replace(aligned["wrench"], values=values)
+        record["wrench"]["of"] = chosen.wrench.of
+        if chosen.wrench.pose is not None:
+            record["wrench"]["pose"] = msgspec.to_builtins(chosen.wrench.pose)
+        if doubt := _sign_doubt(values, socket, chosen.wrench.of):
+            notify(doubt)
+    cluster_values = _cluster_values(sources, aligned, coefficients, triggers, notify)
+    files = {**configuration, **recording.files}
+    imported.write_imported_trial(
+        path,
+        triggers,
+        {str(name): own for name, own in aligned.items()},
+        cluster_values,
+        recording.messages,
+        files,
+        record,
+    )
+    return open_trial(path, notify=notify)
 
 
-def _from_tables(
-    paths: Sequence[Path], chosen: imported.SourceMapping, socket: SocketGeometry
-) -> _Read:
-    """The sources of tables, on one clock."""
-    if chosen.trigger is not None:
-        raise ConfigurationError("tables hold no topic for --trigger", "give --rate instead")
-    at = {name: getattr(chosen, name) for name in foreign.SOURCES}
-    formats = {
-        name: TableFormat(chosen.columns, chosen.units, own.row_rate, chosen.clusters.names)
-        for name, own in at.items()
-    }
-    named = {name: own.topic for name, own in at.items() if own.topic is not None}
-    files = foreign_tables.read_files(paths)
-    parts = foreign_tables.propose_tables(files, named, formats["clusters"])
-    sources, clocks = foreign_tables.read_table_sources(parts, files, formats, socket)
-    stated = {name: own.offset for name, own in at.items() if own.offset is not None}
-    offsets = stated_offsets(clocks, stated)
-    are_dated = all(clock.is_dated for clock in clocks)
-    on_one = {
-        name: replace(
-            sources[name],
-            series=to_common_clock(sources[name].series, clock, offsets[clock.file], are_dated),
-        )
-        for clock in clocks
-        for name in clock.sources
-    }
-    record = {
-        "files": [path.name for path in paths],
-        "clocks": {
-            file: {"offset": own.seconds, "how": own.how}
-            | ({} if np.isnan(own.error) else {"error": round(own.error, 6)})
-            for file, own in offsets.items()
-        },
-    }
-    notes = [] if len(clocks) == 1 else [clocks_in_words(clocks, offsets)]
-    if not are_dated:
-        notes.append("no date is known for all tables: times count from 2000-01-01")
-    ordered = {name: on_one[name] for name in foreign.SOURCES if name in on_one}
-    return _Read(ordered, {}, record, notes)
+def _delays_of(
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    chosen: imported.SourceMapping,
+    notify: Callable[[str], None],
+) -> dict[foreign.Source, Delay]:
+    """Delays of the sources: those stated, and those that the load tells where they are `auto`."""
+    delays: dict[foreign.Source, Delay] = {}
+    sought: list[foreign.Source] = []
+    for name in sources:
+        stated = getattr(chosen, name).delay
+        if stated == imported.AUTO:
+            sought.append(name)
+        else:
+            delays[name] = Delay(stated, stated, stated, 1.0)
+    if not sought:
+        return delays
+    if "wrench" not in sources:
+        fact = f"the delay of the {foreign.in_words(sought[0])} is auto, and there is no wrench"
+        raise TrialError(fact, "state the delay in seconds")
+    followers: tuple[foreign.Source, ...] = "pylon_pose", "clusters"
+    others = [name for name in followers if name in sources]
+    if "wrench" in sought:
+        others = [name for name in others if name not in sought]
+        if not others:
+            raise TrialError(
+                "the delay of the wrench is auto, and no other source with a stated delay moves"
+                " with the load",
+                "state that of the pylon pose or of the clusters, or that of the wrench",
+            )
+        found = _delay_behind_load(others[0], sources)
+        delays["wrench"] = found.reversed.later(delays[others[0]].delay)
+        notify(f"delay of the wrench behind the {foreign.in_words(others[0])}: {found.reversed}")
+    for name in sought:
+        if name == "wrench":
+            continue
+        of: foreign.Source = "clusters" if name == "clusters" else "pylon_pose"
+        if of not in sources:
+            fact = "the delay of the socket pose is auto, and there is no pose of the pylon"
+            raise TrialError(fact, "state the delay in seconds")
+        found = _delay_behind_load(of, sources)
+        delays[name] = found.later(delays["wrench"].delay)
+        notify(f"delay of the {foreign.in_words(name)} behind the wrench: {found}")
+    return delays
+
+
+def _delay_behind_load(
+    name: foreign.Source, sources: Mapping[foreign.Source, foreign.ForeignSource]
+) -> Delay:
+    """Delay of the pylon's pose or the clusters behind the wrench, by their stamps."""
+    load, own = sources["wrench"].series, sources[name].series
+    socket = sources["socket_pose"].series if "socket_pose" in sources else None
+    assert isinstance(load, WrenchSeries) and not isinstance(own, WrenchSeries)
+    if isinstance(own, ClusterSeries):
+        return find_delay(load, own)
+    assert socket is None or isinstance(socket, PoseSeries)
+    return find_delay(load, own, socket)
 
 
 def _mapping(
     file: Path | None,
     given: Mapping[str, str | None],
-    numbers: Mapping[str, Mapping[str, float]],
+    numbers: Mapping[str, Mapping[str, float | str]],
     names: Sequence[str],
     wrench_of: WrenchOf | None,
 ) -> imported.SourceMapping:
@@ -298,7 +375,7 @@ def _mapping(
                 raise ConfigurationError(f"wrench_of is '{wrench_of}'", closest(wrench_of, known))
             changes["of"] = wrench_of
         own = msgspec.structs.replace(getattr(chosen, name), **changes)
-        own.settings  # noqa: B018  (refuses a method or window that is wrong)
+        own.settings(0.0)  # refuses a method or window that is wrong
         chosen = msgspec.structs.replace(chosen, **{name: own})
     return chosen
 
@@ -322,20 +399,27 @@ def _with_triggers(
 
 
 def _by_source(
-    given: Iterable[str] | Mapping[str, float], what: str, low: float, high: float
-) -> dict[str, float]:
-    """Numbers by source, of texts such as `wrench=0.02` or a mapping."""
-    found: dict[str, float] = {}
-    form = "a source and a number, such as wrench=0.02"
+    given: Iterable[str] | Mapping[str, Any],
+    what: str,
+    ends: tuple[float, float],
+    word: str = "",
+) -> dict[str, float | str]:
+    """Numbers by source, of texts such as `wrench=0.02` or a mapping; a known word stays."""
+    form = f"a source and a number, such as wrench={ends[1] / 500:g}"
+    form += f", or wrench={word}" if word else ""
+    found: dict[str, float | str] = {}
     for name, value in _pairs(given, what, form).items():
         if name not in foreign.SOURCES:
             raise ConfigurationError(f"{what} names '{name}'", closest(name, foreign.SOURCES))
+        if word and value == word:
+            found[name] = word
+            continue
         try:
             number = float(value)
         except (TypeError, ValueError):
             fact = f"the {what} of {name} is '{value}'"
             raise ConfigurationError(fact, f"give {form}") from None
-        found[name] = check_number(number, f"the {what} of {name}", low, high)
+        found[name] = check_number(number, f"the {what} of {name}", *ends)
     return found
 
 
@@ -359,23 +443,6 @@ def _in_words(name: str, own: foreign.ForeignSource) -> str:
     )
 
 
-def _triggers(
-    chosen: imported.SourceMapping,
-    sources: Mapping[str, foreign.ForeignSource],
-    received: Mapping[str, Sequence[Any]],
-) -> IntArray:
-    """Times of the triggers, shape (N,) [ns]."""
-    if chosen.trigger is not None:
-        triggers = foreign.read_stamps(received.get(chosen.trigger, ()))
-        if not len(triggers):
-            raise TrialError(f"{chosen.trigger}: no message can be decoded", "give --rate instead")
-        return triggers
-    assert chosen.rate is not None
-    delays = {f"the {foreign.in_words(n)}": getattr(chosen, n).delay for n in sources}
-    series = {f"the {foreign.in_words(name)}": own.series for name, own in sources.items()}
-    return triggers_at(chosen.rate, series, delays)
-
-
 def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[str, Any]:
     if chosen.trigger is not None:
         return {"topic": chosen.trigger, "number": len(triggers)}
@@ -383,8 +450,8 @@ def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[
 
 
 def _refuse_nothing(
-    aligned: Mapping[str, Aligned],
-    sources: Mapping[str, foreign.ForeignSource],
+    aligned: Mapping[foreign.Source, Aligned],
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
     triggers: IntArray,
 ) -> None:
     """Refuse a source that has a value at no trigger."""
@@ -397,12 +464,6 @@ def _refuse_nothing(
                 f" around it (they last from {start:.3g} to {end:.3g} s after the first trigger)",
                 "check its clock and delay, or set its stale in a mapping.yaml",
             )
-
-
-def _replaced(aligned: Aligned, values: FloatArray) -> Aligned:
-    return Aligned(
-        values, aligned.status, aligned.count, aligned.age, aligned.spread, aligned.deviation
-    )
 
 
 def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str:
@@ -422,8 +483,8 @@ def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str
 
 
 def _cluster_values(
-    sources: Mapping[str, foreign.ForeignSource],
-    aligned: Mapping[str, Aligned],
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    aligned: Mapping[foreign.Source, Aligned],
     calibration: Calibration,
     triggers: IntArray,
     notify: Callable[[str], None],

@@ -463,8 +463,13 @@ class ImportOptions(Options):
     )
     offset: Sequence[str] = several(
         "what to add to the times of the table of wrench, socket_pose, pylon_pose or clusters, so"
-        " that they count as those of the first table [s]",
+        " that they count as those of the first table [s]; tap if both see one tap",
         metavar="SOURCE=S",
+    )
+    tap: str | None = option(
+        None,
+        "seconds since the start of each table in which the tap is (default: any)",
+        metavar="T0:T1",
     )
     columns: Sequence[str] = several(
         "titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0",
@@ -480,7 +485,7 @@ class ImportOptions(Options):
     )
     delay: Iterable[str] = several(
         "delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the measurement"
-        " [s]",
+        " [s]; auto finds it against the load, from a minute of brisk pushing",
         metavar="SOURCE=S",
     )
     wrench_of: WrenchOf | None = option(

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from socket_testbed.alignment.common_clock import OwnClock
+import numpy as np
+
+from socket_testbed.alignment.common_clock import (
+    Offset,
+    OwnClock,
+    clocks_in_words,
+    offset_by_tap,
+    stated_offsets,
+    to_common_clock,
+)
+from socket_testbed.alignment.events import find_tap
 from socket_testbed.alignment.table_file import (
     TableFormat,
     has_column,
@@ -26,6 +37,7 @@ from socket_testbed.alignment.units import UNITS, factor
 from socket_testbed.cells import TextTable
 from socket_testbed.errors import ConfigurationError, TrialError, closest, listed, naming, option_of
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.trials import imported
 from socket_testbed.trials.foreign import NONE, SOURCES, WORDS, ForeignSource, Source, in_words
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".lvm", ".dat", ".log", ".asc")
@@ -236,6 +248,108 @@ def _refuse_unclear_bodies(
                 f"{path.name}: cannot tell whose pose {listed(left, _MAX_LISTED)} is",
                 f"state it with {options}, or none instead of a body",
             )
+
+
+@dataclass(frozen=True)
+class TableRecording:
+    """What tables hold, on one clock.
+
+    Attributes:
+        sources: What each source measured.
+        record: What `import.yaml` states of the files and their clocks.
+        notes: Remarks for the user.
+        files: Contents of the tables, by the names under which a trial stores them.
+    """
+
+    sources: dict[Source, ForeignSource]
+    record: dict[str, Any]
+    notes: tuple[str, ...]
+    files: dict[str, bytes]
+
+
+def read_tables(
+    paths: Sequence[Path],
+    chosen: imported.SourceMapping,
+    geometry: SocketGeometry,
+    tap: tuple[float, float] | None = None,
+) -> TableRecording:
+    """Read tables and bring them to one clock.
+
+    Args:
+        paths: The files.
+        chosen: What each is, where that is stated, with offsets, columns and units.
+        geometry: The socket, for the markers of its bodies.
+        tap: Seconds since the start of each table in which a tap is looked for; None for all of it.
+
+    Raises:
+        TrialError: If files do not tell what they are, or see no tap.
+        ConfigurationError: If a file cannot be read, or an offset is missing.
+    """
+    if chosen.trigger is not None:
+        raise ConfigurationError("tables hold no topic for --trigger", "give --rate instead")
+    own = {name: getattr(chosen, name) for name in SOURCES}
+    formats = {
+        name: TableFormat(chosen.columns, chosen.units, stated.row_rate, chosen.clusters.names)
+        for name, stated in own.items()
+    }
+    named = {name: stated.topic for name, stated in own.items() if stated.topic is not None}
+    files = read_files(paths)
+    parts = propose_tables(files, named, formats["clusters"])
+    sources, clocks = read_table_sources(parts, files, formats, geometry)
+    stated = {name: at.offset for name, at in own.items() if at.offset is not None}
+    by_tap = {name for name, offset in stated.items() if offset == imported.TAP}
+    numbers = {name: float(v) for name, v in stated.items() if v != imported.TAP}
+    offsets = stated_offsets(clocks, numbers, by_tap)
+    if by_tap:
+        offsets |= _offsets_by_tap(clocks, sources, by_tap, offsets, tap)
+    are_dated = all(clock.is_dated for clock in clocks) and not by_tap
+    reference = None if are_dated else clocks[0]
+    for clock in clocks:
+        for name in clock.sources:
+            series = to_common_clock(sources[name].series, clock, offsets[clock.file], reference)
+            sources[name] = replace(sources[name], series=series)
+    notes = [clocks_in_words(clocks, offsets)] if len(clocks) > 1 else []
+    if not clocks[0].is_dated:
+        notes.append(f"{clocks[0].file} tells no date: the trial's times count from 2000-01-01")
+    return TableRecording(
+        {name: sources[name] for name in SOURCES if name in sources},
+        {"files": [path.name for path in paths], "clocks": _clock_record(offsets)},
+        tuple(notes),
+        {f"{imported.ORIGINALS}/{path.name}": path.read_bytes() for path in paths},
+    )
+
+
+def _offsets_by_tap(
+    clocks: Sequence[OwnClock],
+    sources: Mapping[Source, ForeignSource],
+    by_tap: Collection[str],
+    offsets: Mapping[str, Offset],
+    span: tuple[float, float] | None,
+) -> dict[str, Offset]:
+    """Offsets of the files whose tap is to agree with that of the first file."""
+    reference, *others = clocks
+    found: dict[str, Offset] = {}
+    taps = {}
+    wanted = [clock for clock in others if by_tap & {*clock.sources}]
+    for clock in (reference, *wanted):
+        with naming(clock.file):
+            seen = next((s for s in clock.sources if s in by_tap), clock.sources[0])
+            taps[clock.file] = find_tap(sources[seen].series, span)
+    for clock in wanted:
+        found[clock.file] = offset_by_tap(
+            (reference, taps[reference.file]), (clock, taps[clock.file])
+        )
+    return found
+
+
+def _clock_record(offsets: Mapping[str, Offset]) -> dict[str, dict[str, Any]]:
+    """Offsets as `import.yaml` states them [s]."""
+    record: dict[str, dict[str, Any]] = {}
+    for file, own in offsets.items():
+        record[file] = {"offset": round(own.seconds, 6), "how": own.how}
+        if np.isfinite(own.error):
+            record[file]["error"] = round(own.error, 6)
+    return record
 
 
 def read_table_sources(

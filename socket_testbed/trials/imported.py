@@ -7,10 +7,9 @@ and windows.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, field
@@ -19,7 +18,7 @@ from socket_testbed.alignment.align import Aligned
 from socket_testbed.alignment.common_clock import MAX_OFFSET
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, finite_mean
 from socket_testbed.documents import Document, dump_yaml
-from socket_testbed.files import atomic_output, check_new_folder, make_folder, sync
+from socket_testbed.files import atomic_output, check_new_folder, make_folder
 from socket_testbed.geometry.pose import PoseDocument
 from socket_testbed.settings.alignment import MAX_DELAY, SourceSettings
 from socket_testbed.settings.options import WrenchOf
@@ -32,7 +31,8 @@ _HEADER = "# How this trial was made by 'socket-testbed import': times in s, len
 ORIGINALS = "originals"  # folder of a trial that holds the tables it was made from
 ORIGINAL = "/original"  # ends the name of an original topic that is called like the testbed's
 _DEPTH = 100  # [messages]
-_Delay = Annotated[float, Meta(ge=-MAX_DELAY, le=MAX_DELAY)]
+AUTO, TAP = "auto", "tap"  # a delay that the load tells, an offset that a tap tells
+_Delay = Annotated[float, Meta(ge=-MAX_DELAY, le=MAX_DELAY)] | Literal["auto"]
 
 
 class SourceDocument(Document):
@@ -41,9 +41,9 @@ class SourceDocument(Document):
     Attributes:
         topic: Its topic, `tf:PARENT/CHILD` for a pose, the file of its table, `FILE:BODY` for a
             body of a take, or `none`; None to find it.
-        delay: Delay of its stamps behind the measurement [s].
-        offset: What is added to the times of its table, see `stated_offsets` [s]; None for a topic,
-            and for a table whose offset follows from others.
+        delay: Delay of its stamps behind the measurement [s]; `auto` to find it against the load.
+        offset: What is added to the times of its table, see `Offset` [s], or `tap` to find it from
+            a tap; None for a topic, and for a table whose offset follows from others.
         row_rate: Rate of the rows of its table without times [Hz]; None for any other.
         method: `line`, `mean` or `last`, see `SourceSettings`.
         window: Span centred on a trigger whose readings are used; negative: as `SourceSettings`
@@ -53,18 +53,19 @@ class SourceDocument(Document):
 
     topic: str | None = None
     delay: _Delay = SourceSettings.delay
-    offset: Annotated[float, Meta(ge=-MAX_OFFSET, le=MAX_OFFSET)] | None = None
+    offset: Annotated[float, Meta(ge=-MAX_OFFSET, le=MAX_OFFSET)] | Literal["tap"] | None = None
     row_rate: Annotated[float, Meta(ge=0.1, le=20000.0)] | None = None
     method: str = SourceSettings.method
     window: float = SourceSettings.window
     stale: float = SourceSettings.stale
 
-    @property
-    def settings(self) -> SourceSettings:
-        """How its readings are brought to triggers; checked."""
-        return SourceSettings(
-            delay=self.delay, method=self.method, window=self.window, stale=self.stale
-        )
+    def settings(self, delay: float) -> SourceSettings:
+        """How its readings are brought to triggers; checked.
+
+        Args:
+            delay: The delay, as stated or found [s].
+        """
+        return SourceSettings(delay=delay, method=self.method, window=self.window, stale=self.stale)
 
 
 class WrenchDocument(SourceDocument):
@@ -146,7 +147,6 @@ def write_imported_trial(
     originals: Iterable[RawMessage],
     configuration: Mapping[str, bytes],
     record: Mapping[str, Any],
-    files: Sequence[Path] = (),
 ) -> None:
     """Write the trial.
 
@@ -158,9 +158,8 @@ def write_imported_trial(
         clusters: Names of the clusters, capacitances, shape (N, C, 4) [pF], and the `Status` of
             each.
         originals: The messages from which the trial was made.
-        configuration: The files to store with it, see `read_configuration`.
+        configuration: The files to store with it, by name, see `read_configuration`.
         record: What `import.yaml` states.
-        files: Tables from which the trial was made; copies of them are stored with it.
 
     Raises:
         ConfigurationError: If the folder exists or cannot be written.
@@ -195,11 +194,9 @@ def write_imported_trial(
             for time, name, data in entries:
                 bag.write(name, time, data)
         record_text = _HEADER + dump_yaml(dict(record))
+        if any(name.startswith(f"{ORIGINALS}/") for name in configuration):
+            (staging / ORIGINALS).mkdir()
         store_configuration(staging, {**configuration, RECORD_FILE: record_text.encode()})
-        for file in files:
-            (staging / ORIGINALS).mkdir(exist_ok=True)
-            shutil.copyfile(file, staging / ORIGINALS / file.name)
-            sync(staging / ORIGINALS / file.name)
 
 
 def described(aligned: Aligned, settings: SourceSettings, window: float) -> dict[str, Any]:
@@ -212,7 +209,7 @@ def described(aligned: Aligned, settings: SourceSettings, window: float) -> dict
     """
     age = finite_mean(np.abs(aligned.age).ravel(), np.median)
     return {
-        "delay": settings.delay,
+        "delay": round(settings.delay, 6),
         "method": settings.method,
         "window": round(window, 6),
         "readings_per_trigger": finite_mean(aligned.count.ravel().astype(float), np.median),

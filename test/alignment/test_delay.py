@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.foreign import CAPACITANCES, LIMB, SOCKET, WRENCH, simulate_foreign
+from support.foreign import CAPACITANCES, LIMB, SOCKET, WRENCH, pushes, simulate_foreign
 from support.wording import refused
 
 from socket_testbed.alignment.align import Series
@@ -19,16 +19,7 @@ from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import BagReader
 
 START = 1_700_000_000_000_000_000  # [ns]
-_RANDOM = np.random.default_rng(0)
-PERIODS = _RANDOM.uniform(0.6, 3.0, (12, 3))  # [s]; of pushes along three axes
-PHASES = _RANDOM.uniform(0.0, 6.0, (12, 3))
 COMPLIANCE = 1e-4 * np.array([[1.0, 0.2, 0.0], [0.1, 2.0, 0.3], [0.0, 0.5, 1.0]])  # [m/N]
-
-
-def pushes(time: np.ndarray) -> np.ndarray:
-    """Forces along three axes of which none is in step with another, shape (N, 3) [N]."""
-    phases = 2.0 * np.pi * time[:, None, None] / PERIODS + PHASES
-    return np.asarray(10.0 * np.sin(phases).sum(axis=1) + 20.0)
 
 
 def stamps(time: np.ndarray) -> np.ndarray:

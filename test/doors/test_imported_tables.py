@@ -203,3 +203,51 @@ def test_two_load_cells(tmp_path: Path) -> None:
     files = cell(tmp_path / "a.csv"), cell(tmp_path / "b.csv")
     with refused(TrialError, "a.csv, b.csv may each be the wrench", "--wrench FILE"):
         opened(tmp_path, *files)
+
+
+def tapped(path: Path, start: float, rate: float, size: float, what: str) -> Path:
+    """A table of a source that feels a tap 1.2 s after the others' start; its clock is `start`."""
+    since = np.arange(0.0, 10.0, 1.0 / rate)
+    random = np.random.default_rng(round(rate))
+    course = size * np.where(since < 1.2, 0.0, np.exp(-(since - 1.2) / 0.1))
+    course += random.normal(0.0, 1e-3 * size, len(since))
+    if what == "wrench":
+        rows = [f"{start + t:.4f},0,0,0,0,0,{v:.4f}" for t, v in zip(since, course, strict=True)]
+        titles = "time [s],Mx [Nm],My [Nm],Mz [Nm],Fx [N],Fy [N],Fz [N]"
+    else:
+        titles = "time [s]," + ",".join(f"distal.{k} [pF]" for k in range(4))
+        rows = [
+            f"{start + t:.4f},{5 + v:.5f},{5 + v:.5f},5,5"
+            for t, v in zip(since, course, strict=True)
+        ]
+    path.write_text("\n".join([titles, *rows, ""]))
+    return path
+
+
+def test_a_tap_brings_tables_together(tmp_path: Path) -> None:
+    """The cell's clock is 3 s, that of the clusters 7 s, when both start."""
+    files = (
+        tapped(tmp_path / "cell.csv", 3.0, 500.0, -60.0, "wrench"),
+        tapped(tmp_path / "caps.csv", 7.0, 20.0, 0.5, "clusters"),
+    )
+    _, notes = opened(tmp_path, *files, offset={"clusters": "tap"}, tap="0:5")
+    record = yaml.safe_load((tmp_path / "trial" / "import.yaml").read_text())
+    found = record["clocks"]["caps.csv"]
+    assert found["how"] == "tap"
+    assert found["error"] == pytest.approx(np.hypot(0.001, 0.025), abs=1e-6)
+    assert abs(found["offset"] + 4.0) <= found["error"]
+    assert any("caps.csv -3.9" in note or "caps.csv -4" in note for note in notes)
+
+
+def test_a_tap_that_nobody_saw(tmp_path: Path) -> None:
+    with refused(TrialError, "cell.csv: sees no tap"):
+        opened(tmp_path, *three(tmp_path), offset={**OFFSETS, "clusters": "tap"})
+
+
+def test_the_mapping_states_what_options_do(tmp_path: Path) -> None:
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text(
+        "socket_pose:\n  offset: 3\nclusters:\n  offset: -4\n  topic: caps.csv\nrate: 2\n"
+    )
+    trial, _ = opened(tmp_path, *three(tmp_path), mapping=mapping)
+    assert len(trial.measurements().stamps) == 5

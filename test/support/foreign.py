@@ -57,6 +57,17 @@ def pose_fields(values: FloatArray) -> dict[str, Any]:
     return {"position": vector(values[:3]), "orientation": vector(values[3:], "xyzw")}
 
 
+_RANDOM = np.random.default_rng(0)
+_PERIODS = _RANDOM.uniform(0.6, 3.0, (12, 3))  # [s]; of pushes along three axes
+_PHASES = _RANDOM.uniform(0.0, 6.0, (12, 3))
+
+
+def pushes(time: FloatArray) -> FloatArray:
+    """Brisk forces along three axes of which none is in step with another, shape (N, 3) [N]."""
+    phases = 2.0 * np.pi * time[:, None, None] / _PERIODS + _PHASES
+    return np.asarray(10.0 * np.sin(phases).sum(axis=1) + 20.0)
+
+
 Messages = Iterable[tuple[int, dict[str, Any]]]
 """Times of arrival [ns], and the fields of the messages."""
 
