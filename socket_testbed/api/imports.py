@@ -83,7 +83,7 @@ def import_trial(
         trigger: Topic whose stamps are the triggers.
         offset: What to add to the times of the table of wrench, socket_pose, pylon_pose or
             clusters, so that they count as those of the first table [s]; tap if both see one tap.
-        tap: Seconds since the start of each table in which the tap is, as T0:T1 (default: any).
+        tap: Seconds since the start of each table in which the tap is (default: any).
         columns: Titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0.
         units: Units of tables, for time, force, moment, capacitance or stress; they override those
             of the titles.

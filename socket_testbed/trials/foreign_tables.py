@@ -146,7 +146,7 @@ def propose_tables(
                 f"{path.name}: is none of the sources (it has {what})",
                 f"state what it is, such as {option_of('wrench')} {path.name}, or leave it out",
             )
-    return found
+    return {source: found[source] for source in SOURCES if source in found}
 
 
 def _refuse_unknown_names(tables: Mapping[Path, TextTable], stated: TableFormat) -> None:

@@ -210,7 +210,7 @@ def tapped(path: Path, start: float, rate: float, size: float, what: str) -> Pat
     since = np.arange(0.0, 10.0, 1.0 / rate)
     random = np.random.default_rng(round(rate))
     course = size * np.where(since < 1.2, 0.0, np.exp(-(since - 1.2) / 0.1))
-    course += random.normal(0.0, 1e-3 * size, len(since))
+    course += random.normal(0.0, 1e-3 * abs(size), len(since))
     if what == "wrench":
         rows = [f"{start + t:.4f},0,0,0,0,0,{v:.4f}" for t, v in zip(since, course, strict=True)]
         titles = "time [s],Mx [Nm],My [Nm],Mz [Nm],Fx [N],Fy [N],Fz [N]"
