@@ -175,7 +175,8 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
         stated, lines[0] = split_separator("\n".join(lines[:2]))[0], ""
     filled = [k for k in range(begin, len(lines)) if lines[k].strip()]
     separator = stated or _separator([lines[k] for k in filled[-_LOOKED_AT:]])
-    widths = Counter(len(_split(lines[k], separator)) for k in filled[-_LOOKED_AT:])
+    rows = [_split(lines[k], separator) for k in filled[-_LOOKED_AT:]]
+    widths = Counter(len(row) for row in rows if _is_data(row, len(row)))
     width = max(widths, key=lambda w: (widths[w], w), default=0)
     first = next((k for k in filled if _is_data(_split(lines[k], separator), width)), None)
     if first is None:

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from socket_testbed.alignment.series import PoseSeries
+from socket_testbed.alignment.table_file import table_text
+from socket_testbed.alignment.units import WRITTEN
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError, closest, listed
+from socket_testbed.cells import TextTable, read_text_table
+from socket_testbed.documents import split_separator
+from socket_testbed.errors import ConfigurationError, closest, listed, naming
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.motive import read_motive_csv
 
 _SECOND = 1_000_000_000  # [ns]
+_HEAD = 4096  # [characters]; of a file, in which its program shows
+_MARKERS = "Trajectories"  # the part of a Nexus export that is read
+_NEXUS = (_MARKERS, "Devices", "Model Outputs", "Segments", "Joints")  # parts that it may have
+_NEXUS_HEAD = 5  # [lines] above the rows of a part
+_FIRST_MARKER = 2  # after frame and sub-frame
+_BODY_COLUMNS = 16  # of a body of a Qualisys export
+_AGREES = 1e-2  # [-]; of a rotation matrix with angles that are rounded
 _MAX_LISTED = 6
 _MIN_FITTED = 0.5  # share of the frames with all markers that must fit the body
 
@@ -47,7 +61,11 @@ class Take:
     @property
     def names(self) -> list[str]:
         """Names of the bodies, of rigid bodies and of markers called `BODY:...`."""
-        labelled = [name.partition(":")[0] for name in self.markers if ":" in name]
+        labelled = [
+            name.partition(":")[0]
+            for name in self.markers
+            if ":" in name and not name.startswith(("Unlabeled", "Unlabelled"))
+        ]
         return list(dict.fromkeys([*self.bodies, *labelled]))
 
 
@@ -57,17 +75,128 @@ def is_take(text: str) -> bool:
     Args:
         text: The first lines.
     """
-    return text.lstrip('\ufeff" \t\r\n').startswith("Format Version")
+    return _reader_of(text) is not None
 
 
 def read_take(path: Path) -> Take:
-    """Read an export of motion capture, here of Motive.
+    """Read an export of motion capture.
+
+    These are takes of Motive (CSV), trajectories of Vicon Nexus (CSV) and 6DOF data of Qualisys
+    Track Manager (TSV).
 
     Raises:
-        RegistrationError: If it is not complete.
+        RegistrationError: If a take of Motive is not complete.
+        ConfigurationError: If another export is not complete, or is no such export.
     """
+    read = _reader_of(table_text(path)[:_HEAD])
+    if read is None:
+        fact = f"{path.name}: is no export of motion capture that is known"
+        raise ConfigurationError(fact, "export it from Motive, Vicon Nexus or Qualisys")
+    return read(path)
+
+
+def _reader_of(text: str) -> Callable[[Path], Take] | None:
+    start = text.lstrip('\ufeff" \t\r\n')
+    if start.startswith("Format Version"):
+        return _read_motive
+    if re.match(rf"(?:{'|'.join(_NEXUS)})[\t,; ]*[\r\n]", start):
+        return _read_nexus
+    if start.startswith("NO_OF_FRAMES"):
+        return _read_qualisys
+    return None
+
+
+def _read_motive(path: Path) -> Take:
     take = read_motive_csv(path)
     return Take(path, "Motive", take.times, take.bodies, take.markers, take.notes)
+
+
+def _read_nexus(path: Path) -> Take:
+    """Read the part 'Trajectories' of a Nexus export: rate, names, titles, units, frames."""
+    with naming(path.name):
+        parts = re.split(r"\n[\t,; ]*(?=\n|$)", re.sub(r"\r\n?", "\n", table_text(path)))
+        lines = next(
+            (part.strip("\n").split("\n") for part in parts if part.strip().startswith(_MARKERS)),
+            [],
+        )
+        if len(lines) < _NEXUS_HEAD + 1:
+            fact = f"has no part '{_MARKERS}' with rows"
+            raise ConfigurationError(fact, "export the trajectories from Nexus as ASCII")
+        separator, _ = split_separator(lines[3])
+        rate = _rate(lines[1])
+        names = [cell.strip() for cell in lines[2].split(separator)]
+        # The row of titles and that of units stay; the last line has an end, as in the file.
+        table = read_text_table("\n".join([*lines[3:], ""]), WRITTEN)
+        columns = [k for k, name in enumerate(names) if name and k >= _FIRST_MARKER]
+        markers = {}
+        for column in columns:
+            titles = [f"{axis} [mm]" for axis in "XYZ"]
+            if list(table.titles[column : column + 3]) != titles:
+                fact = f"the columns of '{names[column]}' are {table.titles[column : column + 3]}"
+                raise ConfigurationError(fact, "export trajectories as X, Y, Z in mm")
+            markers[names[column]] = 1e-3 * np.column_stack(
+                [table.numbers(column + axis) for axis in range(3)]
+            )
+        times = (table.numbers(0) - 1.0) / rate
+    return Take(path, "Nexus", times, {}, markers, table.notes)
+
+
+def _rate(cell: str) -> float:
+    try:
+        rate = float(re.sub(r"[\t,; ]+$", "", cell))
+    except ValueError:
+        rate = 0.0
+    if rate <= 0.0:
+        raise ConfigurationError(f"its rate is '{cell}'", "export it again")
+    return rate
+
+
+def _read_qualisys(path: Path) -> Take:
+    """Read 6DOF data: for each body X, Y, Z [mm], three angles, residual, and a rotation matrix.
+
+    The matrix is written by columns; where the angles agree with its transpose instead, by rows.
+    """
+    with naming(path.name):
+        table = read_text_table(table_text(path), WRITTEN)
+        header = {
+            row[0].strip(): row[1:] for row in (line.split("\t") for line in table.above) if row
+        }
+        names = [name.strip() for name in header.get("BODY_NAMES", ()) if name.strip()]
+        if not names:
+            fact = "names no body in its header (BODY_NAMES)"
+            raise ConfigurationError(fact, "export 6DOF data from Qualisys, with the header")
+        rate = _rate((header.get("FREQUENCY") or [""])[0])
+        number = len(table.columns)
+        starts = [k for k, t in enumerate(table.titles) if re.fullmatch(r"(.* )?X", t.strip())]
+        if len(starts) != len(names):
+            fact = f"has {len(starts)} columns X for {len(names)} bodies"
+            raise ConfigurationError(fact, "export 6DOF data from Qualisys with titles of columns")
+        bodies = {
+            name: _qualisys_body(table, start) for name, start in zip(names, starts, strict=True)
+        }
+    return Take(path, "Qualisys", np.arange(number) / rate, bodies, {}, table.notes)
+
+
+def _qualisys_body(table: TextTable, start: int) -> Pose:
+    """The poses of a body whose columns begin at `start`."""
+    titles = [title.strip() for title in table.titles[start : start + _BODY_COLUMNS]]
+    wanted = ["Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{k}]" for k in range(9))]
+    if titles[1:] != wanted:
+        fact = f"the columns of '{titles[0]}' are {listed(titles[1:], 16)}"
+        raise ConfigurationError(fact, f"export {', '.join(wanted[:6])} and Rot[0] to Rot[8]")
+    values = np.column_stack([table.numbers(start + k) for k in range(_BODY_COLUMNS)])
+    values[(values[:, 7:] == 0.0).all(axis=1)] = np.nan  # a body that is not seen
+    matrices = values[:, 7:].reshape(-1, 3, 3)
+    angles = Rotation.from_euler("XYZ", np.nan_to_num(values[:, 3:6]), degrees=True).as_matrix()
+    by_column, by_row = np.swapaxes(matrices, 1, 2), matrices
+    off = [np.nanmax(np.abs(way - angles), initial=0.0) for way in (by_column, by_row)]
+    if min(off) > _AGREES:
+        raise ConfigurationError(
+            f"the angles of '{titles[0]}' do not agree with its rotation matrix",
+            "export with the standard definition of Euler angles of Qualisys",
+        )
+    rotation = by_column if off[0] <= off[1] else by_row
+    return Pose(rotation, 1e-3 * values[:, :3])
 
 
 def take_poses(take: Take, body: str, reference: FloatArray) -> tuple[PoseSeries, tuple[str, ...]]:
