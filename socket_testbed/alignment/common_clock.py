@@ -120,7 +120,12 @@ def to_common_clock(
 
 
 def clocks_in_words(clocks: Sequence[OwnClock], offsets: Mapping[str, Offset]) -> str:
-    """The offsets in one line, for a note."""
+    """The offsets in one line, for a note.
+
+    Args:
+        clocks: The clocks of the files, that of the reference first.
+        offsets: Offsets by file.
+    """
     parts = []
     for clock in clocks:
         own = offsets[clock.file]

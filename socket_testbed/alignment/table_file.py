@@ -155,13 +155,22 @@ def has_column(table: TextTable, title: str) -> bool:
 
 
 def shown_titles(table: TextTable, most: int = 12) -> str:
-    """The titles of a table in one line, for errors."""
+    """The titles of a table in one line, for errors.
+
+    Args:
+        table: The table.
+        most: Number of titles to show; the others are only counted.
+    """
     titles = [f"'{title}'" for title in table.titles if title]
     return ", ".join(titles[:most]) + (f" and {len(titles) - most} more" * (len(titles) > most))
 
 
 def time_columns(table: TextTable, stated: TableFormat) -> list[int]:
     """Indices of the column of times, or of dates and times of day; empty if there is none.
+
+    Args:
+        table: The table.
+        stated: What its titles do not tell.
 
     Raises:
         ConfigurationError: If several columns may be it.
@@ -188,6 +197,10 @@ def read_clock(table: TextTable, stated: TableFormat) -> Clock:
     A column of times has numbers with a unit, dates with times (2024-05-05 12:00:01.5, or
     5.5.2024 12:00:01), or times of day. Numbers of seconds since 1970 are dated. Dates without a
     zone are taken as UTC. Without such a column, rows follow at the stated rate.
+
+    Args:
+        table: The table.
+        stated: What its titles do not tell.
 
     Raises:
         ConfigurationError: If there are no times, they lack a unit, do not ascend, or are

@@ -220,7 +220,7 @@ def take_poses(take: Take, body: str, reference: FloatArray) -> tuple[PoseSeries
     else:
         pose = _fitted(take, body, reference)
         notes = (f"{take.path.name}: '{body}' is fitted to the markers of socket.yaml",)
-    seen = np.isfinite(pose.translation).all(axis=1)
+    seen = np.asarray(np.isfinite(pose.translation).all(axis=1))
     if not seen.any():
         raise ConfigurationError(
             f"{take.path.name}: '{body}' is never tracked", "choose another body"

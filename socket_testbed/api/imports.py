@@ -204,8 +204,10 @@ def _read_tables(
 
 def _paths(source: PathLike | Sequence[PathLike]) -> list[Path]:
     """The bag, or the tables, that a user gives."""
-    several = isinstance(source, Sequence) and not isinstance(source, str)
-    paths = [path_of(each, "the bag") for each in (source if several else [source])]
+    given: list[Any] = [source]
+    if isinstance(source, Sequence) and not isinstance(source, str):
+        given = [*source]
+    paths = [path_of(each, "the bag") for each in given]
     if not paths:
         raise ConfigurationError("no bag or table is given", "name a bag, or tables")
     if len(paths) > 1 and not foreign_tables.are_tables(paths):

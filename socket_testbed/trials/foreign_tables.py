@@ -297,17 +297,18 @@ def read_tables(
     parts = propose_tables(files, named, formats["clusters"])
     sources, clocks = read_table_sources(parts, files, formats, geometry)
     stated = {name: at.offset for name, at in own.items() if at.offset is not None}
-    by_tap = {name for name, offset in stated.items() if offset == imported.TAP}
-    numbers = {name: float(v) for name, v in stated.items() if v != imported.TAP}
+    by_tap = {str(name) for name, offset in stated.items() if offset == imported.TAP}
+    numbers = {str(name): float(v) for name, v in stated.items() if v != imported.TAP}
     offsets = stated_offsets(clocks, numbers, by_tap)
     if by_tap:
         offsets |= _offsets_by_tap(clocks, sources, by_tap, offsets, tap)
     are_dated = all(clock.is_dated for clock in clocks) and not by_tap
     reference = None if are_dated else clocks[0]
-    for clock in clocks:
-        for name in clock.sources:
-            series = to_common_clock(sources[name].series, clock, offsets[clock.file], reference)
-            sources[name] = replace(sources[name], series=series)
+    clock_of = {name: clock for clock in clocks for name in clock.sources}
+    for name, source in sources.items():
+        clock = clock_of[name]
+        series = to_common_clock(source.series, clock, offsets[clock.file], reference)
+        sources[name] = replace(source, series=series)
     notes = [clocks_in_words(clocks, offsets)] if len(clocks) > 1 else []
     if not clocks[0].is_dated:
         notes.append(f"{clocks[0].file} tells no date: the trial's times count from 2000-01-01")
@@ -322,7 +323,7 @@ def read_tables(
 def _offsets_by_tap(
     clocks: Sequence[OwnClock],
     sources: Mapping[Source, ForeignSource],
-    by_tap: Collection[str],
+    by_tap: set[str],
     offsets: Mapping[str, Offset],
     span: tuple[float, float] | None,
 ) -> dict[str, Offset]:
@@ -333,7 +334,8 @@ def _offsets_by_tap(
     wanted = [clock for clock in others if by_tap & {*clock.sources}]
     for clock in (reference, *wanted):
         with naming(clock.file):
-            seen = next((s for s in clock.sources if s in by_tap), clock.sources[0])
+            held = [name for name in sources if name in clock.sources]
+            seen = next((name for name in held if name in by_tap), held[0])
             taps[clock.file] = find_tap(sources[seen].series, span)
     for clock in wanted:
         found[clock.file] = offset_by_tap(
