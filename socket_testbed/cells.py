@@ -152,8 +152,8 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
     """Read a table below any preamble, with the titles directly above its numbers.
 
     Columns are separated by commas, semicolons, tabs or, if there are none of these, spaces.
-    Decimal commas are read where no comma separates the columns. A last line without line end is
-    cut short, and is left out.
+    Decimal commas are read where no comma separates the columns. A last line without line end, and
+    lines with fewer columns than the others, may be cut within a number, and are left out.
 
     Args:
         text: The file's text.
@@ -194,6 +194,11 @@ def read_text_table(text: str, units: frozenset[str], *, starts_after: str = "")
         titles = _padded(cells[-1], width)
         if len(cells) > 1 and fitting[0]:
             titles = units_below(_padded(cells[0], width), titles, units) or titles
+    if short := [k for k in filled if k > first and _is_short(lines[k], separator, width)]:
+        shown = f"line {short[0] + 1} has" if len(short) == 1 else f"{len(short)} lines have"
+        notes.append(f"{shown} fewer columns than the others, and may be cut short: left out")
+        for k in short:
+            lines[k] = ""
     columns = _read_columns(lines[first:], first, separator, max(width, len(titles)))
     columns.index += first + 1
     blank = {k + 1 for k in range(first, len(lines)) if not lines[k].strip(f'{separator} \t"')}
@@ -265,6 +270,12 @@ def _is_data(cells: Sequence[str], width: int) -> bool:
     filled = [cell for cell in cells if cell]
     numbers = sum(bool(_DATA.match(cell)) for cell in filled)
     return len(cells) == width and bool(filled) and numbers >= _IS_DATA * len(filled)
+
+
+def _is_short(line: str, separator: str, width: int) -> bool:
+    """Whether a line has fewer cells than the table, so that it may be cut within a number."""
+    cells = line.count(separator) + 1 if separator else len(line.split())
+    return cells < width and bool(line.strip())
 
 
 def _padded(cells: Sequence[str], width: int) -> list[str]:

@@ -111,9 +111,9 @@ def _wrench_columns(table: TextTable, named: Mapping[str, str]) -> dict[str, int
         matches = exact or [k for k, name in enumerate(names) if re.fullmatch(ending, name, re.I)]
         if len(matches) > 1:
             shown = ", ".join(f"'{table.titles[k]}'" for k in matches)
-            raise ConfigurationError(
-                f"{shown} may each be {component}", f"name it with --columns {component}=NAME"
-            )
+            alike = len({table.titles[k] for k in matches}) < len(matches)
+            hint = "rename one" if alike else f"name it with --columns {component}=NAME"
+            raise ConfigurationError(f"{shown} may each be {component}", hint)
         if matches:
             found[component] = matches[0]
     return found

@@ -41,6 +41,9 @@ def triggers_at(
     if count < _MIN_TRIGGERS:
         shared = (end - start) * 1e-9
         fact = f"{late} and {early} share {shared:.3g} s, too little at {rate:g} Hz"
+        if late == early:
+            fact = f"{late} lasts {shared:.3g} s, too little at {rate:g} Hz"
+            raise TrialError(fact, "give a higher rate, or a longer recording")
         if shared < 0.0:
             fact = f"{late} starts {-shared:.3g} s after {early} ends"
         raise TrialError(fact, "check the clocks of both, or state the delay of one")

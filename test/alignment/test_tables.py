@@ -235,6 +235,13 @@ def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
     assert "line 4" in found.notes[0]
 
 
+def test_a_line_cut_short_amid_others_is_left_out(tmp_path: Path) -> None:
+    text = f"{PLAIN}0.02,7.\n0.03,1.5,2.5,-3.5,0.1,0.2,0.3\n"
+    found = read_wrench_table(written(tmp_path / "cell.csv", text))
+    assert (found.series.times / STEP).tolist() == [0, 1, 3]
+    assert "line 4 has fewer columns" in found.notes[0]
+
+
 def test_of_equal_times_the_last_counts(tmp_path: Path) -> None:
     text = PLAIN + "0.01,9.5,5.5,-6.5,0.4,0.5,0.6\n"
     found = read_wrench_table(written(tmp_path / "cell.csv", text))
@@ -247,6 +254,7 @@ REFUSED = {
     "another unit": (PLAIN.replace("Fx [N]", "Fx [V]"), "'Fx [V]' is in 'V'"),
     "no unit of time": (PLAIN.replace("time [s]", "time"), "'time' has no unit"),
     "no moment": (PLAIN.replace("Mz [N m]", "temperature"), "no column for Mz"),
+    "one title twice": (PLAIN.replace("My [N m]", "Fx [N]"), "rename one"),
     "two forces": (PLAIN.replace("My [N m]", "Force X [N]"), "may each be Fx"),
     "text": (PLAIN.replace("5.5", "ERR"), "line 3, column 'Fy [N]' holds 'ERR'"),
     "comma in a number": (PLAIN.replace("1.5", "1,5") + "0.02,1,1,1,1,1,1\n", "line 2 has 8"),

@@ -134,6 +134,25 @@ def test_one_table_is_enough(tmp_path: Path) -> None:
     assert any("no clusters" in note for note in notes)
 
 
+def test_one_table_may_hold_load_and_clusters(tmp_path: Path) -> None:
+    """Both have one clock, of 2 s at 100 Hz."""
+    titles = "time [s],Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm]"
+    titles += "".join(f",distal.{k} [pF]" for k in range(4))
+    rows = [f"{0.01 * k:.2f},1,2,-3,4,5,6,5.0,5.1,5.2,5.3" for k in range(201)]
+    file = tmp_path / "daq.csv"
+    file.write_text("\n".join([titles, *rows, ""]))
+    measured = opened(tmp_path, file)[0].measurements()
+    np.testing.assert_allclose(measured.wrench[4], [4, 5, 6, 1, 2, -3])
+    np.testing.assert_allclose(measured.capacitance[4, 0], [5.0, 5.1, 5.2, 5.3])
+
+
+def test_a_table_that_is_too_short(tmp_path: Path) -> None:
+    file = cell(tmp_path / "cell.csv")
+    file.write_text("".join(line + "\n" for line in file.read_text().split("\n")[:3]))
+    with refused(TrialError, "the wrench lasts 0.01 s, too little at 4 Hz"):
+        opened(tmp_path, file)
+
+
 def test_bodies_are_named_where_names_do_not_tell(tmp_path: Path) -> None:
     file = take(tmp_path / "take.csv", "A", "B")
     with refused(TrialError, "cannot tell whose pose A, B is", "--socket-pose take.csv:BODY"):
