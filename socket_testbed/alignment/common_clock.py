@@ -53,8 +53,8 @@ def stated_offsets(
 ) -> dict[str, Offset]:
     """Offsets of files from what is stated by source.
 
-    Tables that all tell the date need none. Otherwise the times of each count from its own start,
-    and those of all files but the first need an offset.
+    Files that tell the date need none if the first one does; an offset corrects the date. The times
+    of others count from their own 0, or their first row, and need an offset.
 
     Args:
         clocks: The clocks of the files, that of the reference first.
@@ -67,7 +67,6 @@ def stated_offsets(
     known = [source for clock in clocks for source in clock.sources]
     if unknown := [source for source in (*stated, *found) if source not in known]:
         raise ConfigurationError(f"offset names '{unknown[0]}'", closest(unknown[0], known))
-    are_dated = all(clock.is_dated for clock in clocks)
     offsets: dict[str, Offset] = {}
     for number, clock in enumerate(clocks):
         own = {stated[source] for source in clock.sources if source in stated}
@@ -77,9 +76,13 @@ def stated_offsets(
             raise ConfigurationError(fact, "state one offset for its sources")
         if own:
             offsets[clock.file] = Offset(own.pop())
-        elif are_dated or number == 0:
-            offsets[clock.file] = Offset(0.0, how="dates" if are_dated else "reference")
-        elif not {*found} & {*clock.sources}:
+        elif {*found} & {*clock.sources} and number > 0:
+            continue
+        elif number == 0:
+            offsets[clock.file] = Offset(0.0, how="reference")
+        elif clock.is_dated and clocks[0].is_dated:
+            offsets[clock.file] = Offset(0.0, how="dates")
+        else:
             raise ConfigurationError(
                 f"{clock.file} has a clock of its own",
                 f"state what to add to its times with --offset {clock.sources[0]}=S, counted as"
@@ -95,27 +98,33 @@ def offset_by_tap(reference: tuple[OwnClock, Tap], other: tuple[OwnClock, Tap]) 
         reference: The clock of the reference, and when its source saw the tap.
         other: The clock of the file, and when its source saw the tap.
     """
-    own = [tap.time - (clock.start if clock.is_dated else 0) for clock, tap in (reference, other)]
+    own = [tap.time - _zero(clock, reference[0]) for clock, tap in (reference, other)]
     error = (reference[1].error ** 2 + other[1].error ** 2) ** 0.5
     return Offset((own[0] - own[1]) / _SECOND, error, "tap")
 
 
-def to_common_clock(
-    series: Series, clock: OwnClock, offset: Offset, reference: OwnClock | None
-) -> Series:
+def _zero(clock: OwnClock, reference: OwnClock) -> int:
+    """The time of a file from which its offset counts [ns].
+
+    That is the start of the reference if both tell the date, its first row if it alone does, else
+    its 0.
+    """
+    if not clock.is_dated:
+        return 0
+    return reference.start if reference.is_dated else clock.start
+
+
+def to_common_clock(series: Series, clock: OwnClock, offset: Offset, reference: OwnClock) -> Series:
     """A series at times of the common clock.
 
     Args:
         series: What a source of the file measured, at times of the file.
         clock: The clock of its file.
         offset: The offset of the file.
-        reference: The clock of the file from whose start, or whose 0 if it is not dated, offsets
-            count; None if all files tell the date, which offsets correct.
+        reference: The clock of the file as whose times all count.
     """
-    shift = round(offset.seconds * _SECOND)
-    if reference is not None:
-        shift += reference.start if reference.is_dated else UNDATED
-        shift -= clock.start if clock.is_dated else 0
+    shift = round(offset.seconds * _SECOND) - _zero(clock, reference)
+    shift += reference.start if reference.is_dated else UNDATED
     return dataclasses.replace(series, times=series.times + shift)
 
 

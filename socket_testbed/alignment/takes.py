@@ -11,10 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.alignment.series import PoseSeries
-from socket_testbed.alignment.table_file import table_text
-from socket_testbed.alignment.units import WRITTEN
+from socket_testbed.alignment.table_file import TableFormat, read_clock, table_text, values_of
+from socket_testbed.alignment.units import WRITTEN, factor
 from socket_testbed.arrays import FloatArray
-from socket_testbed.cells import TextTable, read_text_table
+from socket_testbed.cells import TextTable, read_text_table, split_title
 from socket_testbed.documents import split_separator
 from socket_testbed.errors import ConfigurationError, closest, listed, naming
 from socket_testbed.geometry.marker_bodies import fit_body
@@ -28,6 +28,17 @@ _NEXUS = (_MARKERS, "Devices", "Model Outputs", "Segments", "Joints")  # parts t
 _NEXUS_HEAD = 5  # [lines] above the rows of a part
 _FIRST_MARKER = 2  # after frame and sub-frame
 _BODY_COLUMNS = 16  # of a body of a Qualisys export
+_PARTS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_TURN = re.compile(
+    r"(?P<body>.*?)[ ._/:-]*(?:pose[ ._/:-]*)*(?:orientation|rotation|quaternion|quat|q)[ ._/:-]*"
+    r"(?P<axis>[xyzw])",
+    re.I,
+)
+_PLACE = re.compile(
+    r"(?P<body>.*?)(?:^|[ ._/:-]+)(?:pose[ ._/:-]*)*(?:(?:position|translation|pos)[ ._/:-]*)?"
+    r"(?P<axis>[xyz])",
+    re.I,
+)
 _AGREES = 1e-2  # [-]; of a rotation matrix with angles that are rounded
 _MAX_LISTED = 6
 _MIN_FITTED = 0.5  # share of the frames with all markers that must fit the body
@@ -39,12 +50,13 @@ class Take:
 
     Attributes:
         path: The file.
-        program: The program that wrote it.
+        program: The program that wrote it; empty for a table with columns of poses.
         times: Time of each frame since the start of the take, shape (N,) [s].
         bodies: N poses of each rigid body in `world` by its name; NaN where it is not tracked.
         markers: Positions of each marker in `world` by its name, shape (N, 3) [m]; NaN where
             occluded.
         notes: Remarks for the user.
+        is_dated: Whether the times count from 1970.
     """
 
     path: Path
@@ -53,6 +65,7 @@ class Take:
     bodies: dict[str, Pose]
     markers: dict[str, FloatArray]
     notes: tuple[str, ...]
+    is_dated: bool = False
 
     def markers_of(self, body: str) -> tuple[str, ...]:
         """Names of the markers of a body, those that begin with `BODY:`."""
@@ -199,6 +212,64 @@ def _qualisys_body(table: TextTable, start: int) -> Pose:
     return Pose(rotation, 1e-3 * values[:, :3])
 
 
+def pose_columns(table: TextTable) -> dict[str, dict[str, int]]:
+    """Columns x to z and qx to qw of each body in a table, by the body's name.
+
+    Titles are such as `socket.x [mm]` and `socket.qw`, or `/rig/socket/pose.position.x [m]` and
+    `/rig/socket/pose.orientation.w`. Bodies without all seven are left out.
+
+    Args:
+        table: The table.
+
+    Raises:
+        ConfigurationError: If a column is there twice.
+    """
+    found: dict[str, dict[str, int]] = {}
+    for column, title in enumerate(table.titles):
+        name, unit = split_title(title, WRITTEN)
+        turn, place = _TURN.fullmatch(name), _PLACE.fullmatch(name)
+        if turn is None and (place is None or (unit and factor("length", unit) is None)):
+            continue
+        match = turn or place
+        assert match is not None
+        body = match["body"].strip(" ._/:-") or "body"
+        part = f"q{match['axis']}" if turn else match["axis"]
+        own = found.setdefault(body, {})
+        if part.lower() in own:
+            shown = f"'{table.titles[own[part.lower()]]}' and '{title}'"
+            raise ConfigurationError(f"{shown} are both {part} of '{body}'", "rename one")
+        own[part.lower()] = column
+    return {body: own for body, own in found.items() if len(own) == len(_PARTS)}
+
+
+def table_take(path: Path, table: TextTable, stated: TableFormat) -> Take:
+    """The poses of the bodies of a table, see `pose_columns`.
+
+    Args:
+        path: The file.
+        table: Its table.
+        stated: What its titles do not tell.
+
+    Raises:
+        ConfigurationError: If a length or the time has no unit, or quaternions are not of length 1.
+    """
+    clock = read_clock(table, stated)
+    bodies = {}
+    for body, columns in pose_columns(table).items():
+        places = {axis: columns[axis] for axis in _PARTS[:3]}
+        position = values_of(table, places, dict.fromkeys(places, "length"), stated)[clock.kept]
+        turn = np.column_stack([table.numbers(columns[part]) for part in _PARTS[3:]])[clock.kept]
+        length = np.linalg.norm(turn, axis=1)
+        turn[length == 0.0] = np.nan  # not tracked
+        if (off := np.abs(length - 1.0) > _AGREES)[length > 0.0].any():
+            line = table.columns.index[clock.kept[np.argmax(off & (length > 0.0))]]
+            fact = f"line {line}: the quaternion of '{body}' is not of length 1"
+            raise ConfigurationError(fact, "give qx, qy, qz, qw of unit quaternions")
+        bodies[body] = Pose.from_quaternion(position, turn)
+    notes = tuple(f"{path.name}: {note}" for note in (*table.notes, *clock.notes))
+    return Take(path, "", clock.times / _SECOND, bodies, {}, notes, clock.is_dated)
+
+
 def take_poses(take: Take, body: str, reference: FloatArray) -> tuple[PoseSeries, tuple[str, ...]]:
     """Poses of a body of a take, and notes.
 
@@ -215,8 +286,11 @@ def take_poses(take: Take, body: str, reference: FloatArray) -> tuple[PoseSeries
     """
     if body in take.bodies:
         pose = take.bodies[body]
-        notes = (f"{take.path.name}: the pose of '{body}' is that of {take.program}'s rigid body:"
-                 " socket.yaml must state its place",)  # fmt: skip
+        origin = f"{take.program}'s rigid body" if take.program else "its columns"
+        notes = (
+            f"{take.path.name}: the pose of '{body}' is that of {origin}: socket.yaml must state"
+            " its place",
+        )
     else:
         pose = _fitted(take, body, reference)
         notes = (f"{take.path.name}: '{body}' is fitted to the markers of socket.yaml",)

@@ -32,7 +32,14 @@ from socket_testbed.alignment.tables import (
     read_cluster_table,
     read_wrench_table,
 )
-from socket_testbed.alignment.takes import Take, is_take, read_take, take_poses
+from socket_testbed.alignment.takes import (
+    Take,
+    is_take,
+    pose_columns,
+    read_take,
+    table_take,
+    take_poses,
+)
 from socket_testbed.alignment.units import UNITS, factor
 from socket_testbed.cells import TextTable
 from socket_testbed.errors import ConfigurationError, TrialError, closest, listed, naming, option_of
@@ -80,11 +87,27 @@ def are_tables(paths: Sequence[Path]) -> bool:
     return bool(tables)
 
 
-def read_files(paths: Sequence[Path]) -> dict[Path, Take | TextTable]:
-    """Takes of motion capture and other tables, by their files.
+@dataclass(frozen=True)
+class TableFiles:
+    """What some files hold; one may hold poses and a table of a load cell or clusters.
+
+    Attributes:
+        paths: The files.
+        takes: Poses or markers, by file.
+        tables: Other tables, by file.
+    """
+
+    paths: tuple[Path, ...]
+    takes: Mapping[Path, Take]
+    tables: Mapping[Path, TextTable]
+
+
+def read_files(paths: Sequence[Path], stated: TableFormat) -> TableFiles:
+    """Read files as what they are.
 
     Args:
         paths: The files.
+        stated: What the titles of a table of poses do not tell.
 
     Raises:
         TrialError: If two files have one name.
@@ -94,18 +117,21 @@ def read_files(paths: Sequence[Path]) -> dict[Path, Take | TextTable]:
     names = [path.name for path in paths]
     if again := [name for name in names if names.count(name) > 1]:
         raise TrialError(f"two tables are called {again[0]}", "rename one")
-    found: dict[Path, Take | TextTable] = {}
+    takes: dict[Path, Take] = {}
+    tables: dict[Path, TextTable] = {}
     for path in paths:
         if is_take(table_text(path)[:4096]):
-            found[path] = read_take(path)
-        else:
-            with naming(path.name):
-                found[path] = read_table(path)
-    return found
+            takes[path] = read_take(path)
+            continue
+        with naming(path.name):
+            tables[path] = read_table(path)
+            if pose_columns(tables[path]):
+                takes[path] = table_take(path, tables[path], stated)
+    return TableFiles((*paths,), takes, tables)
 
 
 def propose_tables(
-    files: Mapping[Path, Take | TextTable], chosen: Mapping[Source, str], stated: TableFormat
+    files: TableFiles, chosen: Mapping[Source, str], stated: TableFormat
 ) -> dict[Source, TablePart]:
     """The file of each source: those chosen, and for others what the columns tell.
 
@@ -121,13 +147,12 @@ def propose_tables(
     Raises:
         TrialError: If a chosen file or body is not there, several suit, or a file is none of them.
     """
-    takes = {path: table for path, table in files.items() if isinstance(table, Take)}
-    tables = {path: table for path, table in files.items() if not isinstance(table, Take)}
+    takes, tables = files.takes, files.tables
     _refuse_unknown_names(tables, stated)
     found: dict[Source, TablePart] = {}
     for source, text in chosen.items():
         if text != NONE:
-            found[source] = _chosen(source, text, files, takes)
+            found[source] = _chosen(source, text, files.paths, takes)
     for source in SOURCES:
         if source not in chosen:
             own = _suited(source, takes, tables, stated, [str(part) for part in found.values()])
@@ -135,7 +160,7 @@ def propose_tables(
                 found[source] = own
     _refuse_unclear_bodies(takes, found, chosen)
     used = {part.path for part in found.values()}
-    for path in files:
+    for path in files.paths:
         if path not in used:
             what = (
                 listed(takes[path].names, _MAX_LISTED)
@@ -293,7 +318,7 @@ def read_tables(
         for name, stated in own.items()
     }
     named = {name: stated.topic for name, stated in own.items() if stated.topic is not None}
-    files = read_files(paths)
+    files = read_files(paths, formats["pylon_pose"])
     parts = propose_tables(files, named, formats["clusters"])
     sources, clocks = read_table_sources(parts, files, formats, geometry)
     stated = {name: at.offset for name, at in own.items() if at.offset is not None}
@@ -302,12 +327,10 @@ def read_tables(
     offsets = stated_offsets(clocks, numbers, by_tap)
     if by_tap:
         offsets |= _offsets_by_tap(clocks, sources, by_tap, offsets, tap)
-    are_dated = all(clock.is_dated for clock in clocks) and not by_tap
-    reference = None if are_dated else clocks[0]
     clock_of = {name: clock for clock in clocks for name in clock.sources}
     for name, source in sources.items():
         clock = clock_of[name]
-        series = to_common_clock(source.series, clock, offsets[clock.file], reference)
+        series = to_common_clock(source.series, clock, offsets[clock.file], clocks[0])
         sources[name] = replace(source, series=series)
     notes = [clocks_in_words(clocks, offsets)] if len(clocks) > 1 else []
     if not clocks[0].is_dated:
@@ -356,7 +379,7 @@ def _clock_record(offsets: Mapping[str, Offset]) -> dict[str, dict[str, Any]]:
 
 def read_table_sources(
     parts: Mapping[Source, TablePart],
-    tables: Mapping[Path, Take | TextTable],
+    files: TableFiles,
     stated: Mapping[Source, TableFormat],
     geometry: SocketGeometry,
 ) -> tuple[dict[Source, ForeignSource], list[OwnClock]]:
@@ -364,7 +387,7 @@ def read_table_sources(
 
     Args:
         parts: The part of a file that each source is read from, see `propose_tables`.
-        tables: The tables, see `read_files`.
+        files: What the files hold.
         stated: What the titles do not tell, by source.
         geometry: The socket, for the markers of its bodies.
 
@@ -375,32 +398,35 @@ def read_table_sources(
         ConfigurationError: If a file cannot be read as such a source.
     """
     sources: dict[Source, ForeignSource] = {}
-    files: dict[str, list[tuple[Source, bool, int]]] = {}
+    held: dict[str, list[tuple[Source, bool, int]]] = {}
     noted: set[Path] = set()
     for source, part in parts.items():
-        is_dated, table = False, tables[part.path]
         if source in _POSES:
-            if not isinstance(table, Take):
+            take = files.takes.get(part.path)
+            if take is None:
                 raise ConfigurationError(
-                    f"{part.path.name}: is no take of motion capture, for {option_of(source)}",
-                    "export it from Motive as CSV, with its header",
+                    f"{part.path.name}: holds no poses, for {option_of(source)}",
+                    "export a take with its header, or columns such as 'socket.x [m]' to"
+                    " 'socket.qw'",
                 )
-            series, notes = take_poses(table, part.body, geometry.markers[_POSES[source]])
-            notes = notes if part.path in noted else (*table.notes, *notes)
+            series, notes = take_poses(take, part.body, geometry.markers[_POSES[source]])
+            notes = notes if part.path in noted else (*take.notes, *notes)
             noted.add(part.path)
-            sources[source] = ForeignSource(str(part), f"{table.program} take", series, notes)
-        elif isinstance(table, Take):
+            is_dated = take.is_dated
+            kind = f"{take.program} take" if take.program else "table"
+            sources[source] = ForeignSource(str(part), kind, series, notes)
+        elif part.path not in files.tables:
             raise ConfigurationError(
                 f"{part.path.name}: is a take of motion capture, not the {in_words(source)}",
                 f"name another file with {option_of(source)}",
             )
         else:
             read = read_wrench_table if source == "wrench" else read_cluster_table
-            own = read(part.path, stated[source], table)
+            own = read(part.path, stated[source], files.tables[part.path])
             is_dated = own.is_dated
             sources[source] = ForeignSource(str(part), "table", own.series, own.notes)
         start = int(sources[source].series.times[0])
-        files.setdefault(part.path.name, []).append((source, is_dated, start))
+        held.setdefault(part.path.name, []).append((source, is_dated, start))
     clocks = [
         OwnClock(
             file,
@@ -408,6 +434,6 @@ def read_table_sources(
             all(is_dated for _, is_dated, _ in own),
             min(start for _, _, start in own),
         )
-        for file, own in files.items()
+        for file, own in held.items()
     ]
     return sources, clocks

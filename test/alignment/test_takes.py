@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.wording import refused
 
-from socket_testbed.alignment.takes import is_take, read_take, take_poses
+from socket_testbed.alignment.table_file import TableFormat, read_table
+from socket_testbed.alignment.takes import Take, is_take, read_take, table_take, take_poses
 from socket_testbed.errors import ConfigurationError
 
 # Two frames; the second moved by 10 mm along x, a marker lost.
@@ -101,3 +102,43 @@ def test_a_real_take_has_one_body(shared_data: Path) -> None:
     series, _ = take_poses(take, "Rigid Body 1", BODY)
     assert len(series.times) == 250
     np.testing.assert_allclose(series.positions[0], [0.0600, 0.0192, 0.0766], atol=1e-4)
+
+
+POSES = {
+    "dots": ("t [s],socket.x [mm],socket.y [mm],socket.z [mm],socket.qx,socket.qy,socket.qz,"
+             "socket.qw", "socket", "100,200,300"),
+    "words": ("t [s],Socket Position X (m),Socket Position Y (m),Socket Position Z (m),"
+              "Socket Rotation X,Socket Rotation Y,Socket Rotation Z,Socket Rotation W",
+              "Socket", "0.1,0.2,0.3"),
+    "topics": ("t [s],/socket/pose.position.x [m],/socket/pose.position.y [m],"
+               "/socket/pose.position.z [m],/socket/pose.orientation.x,/socket/pose.orientation.y,"
+               "/socket/pose.orientation.z,/socket/pose.orientation.w", "socket", "0.1,0.2,0.3"),
+    "one body": ("t [s],x [cm],y [cm],z [cm],qx,qy,qz,qw", "body", "10,20,30"),
+}  # fmt: skip
+
+
+def posed(path: Path, titles: str, place: str, turn: str = "0,0,0.6,0.8") -> Take:
+    text = f"{titles}\n0,{place},{turn}\n0.01,{place},{turn}\n"
+    table = read_table(written(path / "poses.csv", text))
+    return table_take(path / "poses.csv", table, TableFormat())
+
+
+@pytest.mark.parametrize("kind", POSES)
+def test_poses_from_a_table(tmp_path: Path, kind: str) -> None:
+    titles, body, place = POSES[kind]
+    take = posed(tmp_path, titles, place)
+    assert take.names == [body]
+    series, _ = take_poses(take, body, BODY)
+    np.testing.assert_allclose(series.positions, [[0.1, 0.2, 0.3]] * 2)
+    np.testing.assert_allclose(series.quaternions, [[0, 0, 0.6, 0.8]] * 2)
+    assert series.times.tolist() == [0, 10_000_000]
+
+
+def test_poses_that_cannot_be_read(tmp_path: Path) -> None:
+    titles, _, place = POSES["dots"]
+    with refused(ConfigurationError, "'socket.x' has no unit", "--units length='m'"):
+        posed(tmp_path, titles.replace(" [mm]", ""), place)
+    with refused(ConfigurationError, "line 2: the quaternion of 'socket' is not of length 1"):
+        posed(tmp_path, titles, place, "0,0,60,80")
+    with refused(ConfigurationError, "are both x of 'socket'"):
+        posed(tmp_path, titles.replace("socket.y", "socket x"), place)

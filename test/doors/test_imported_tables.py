@@ -146,6 +146,53 @@ def test_one_table_may_hold_load_and_clusters(tmp_path: Path) -> None:
     np.testing.assert_allclose(measured.capacitance[4, 0], [5.0, 5.1, 5.2, 5.3])
 
 
+def test_one_table_may_hold_everything(tmp_path: Path) -> None:
+    """A table of all topics, at times since 1970; no offset is needed."""
+    titles = ["stamp [s]", *(f"/ft/force.{axis} [N]" for axis in "xyz")]
+    titles += [f"/ft/torque.{axis} [N m]" for axis in "xyz"]
+    for body in ("socket", "limb"):
+        titles += [f"/{body}/pose.position.{axis} [m]" for axis in "xyz"]
+        titles += [f"/{body}/pose.orientation.{axis}" for axis in "xyzw"]
+    titles += [f"distal.{k} [pF]" for k in range(4)]
+    pose = "0.1,0.2,0.3,0,0,0.6,0.8"
+    rows = [
+        f"{1_714_910_400 + 0.01 * k:.2f},1,2,-3,4,5,6,{pose},{pose},5.0,5.1,5.2,5.3"
+        for k in range(201)
+    ]
+    file = tmp_path / "topics.csv"
+    file.write_text("\n".join([",".join(titles), *rows, ""]))
+    trial, notes = opened(tmp_path, file)
+    measured = trial.measurements()
+    assert measured.stamps[0] == 1_714_910_400_000_000_000
+    np.testing.assert_allclose(measured.wrench[4], [4, 5, 6, 1, 2, -3])
+    np.testing.assert_allclose(measured.pylon[4], [0.1, 0.2, 0.3, 0, 0, 0.6, 0.8])
+    np.testing.assert_allclose(measured.capacitance[4, 0], [5.0, 5.1, 5.2, 5.3])
+    assert not any("2000-01-01" in note for note in notes)
+
+
+def test_an_offset_corrects_a_date(tmp_path: Path) -> None:
+    """The clusters' clock is 100 s late; the trial has the dates of the load cell."""
+    cell_file = cell(tmp_path / "cell.csv", 1_714_910_400.0)
+    caps_file = capacitances(tmp_path / "caps.csv", 1_714_910_500_000)
+    trial, _ = opened(tmp_path, cell_file, caps_file, offset={"clusters": -100.0})
+    measured = trial.measurements()
+    assert measured.stamps[0] == 1_714_910_400_000_000_000
+    np.testing.assert_allclose(measured.capacitance[4, 1, 0], 5.5, atol=1e-9)
+
+
+def test_a_dated_table_beside_one_without_dates(tmp_path: Path) -> None:
+    """The take starts 0.5 s after the load cell's first row."""
+    cell_file = cell(tmp_path / "cell.csv", 1_714_910_400.0)
+    file = take(tmp_path / "take.csv")
+    with refused(ConfigurationError, "take.csv has a clock of its own"):
+        opened(tmp_path, cell_file, file)
+    trial, _ = opened(tmp_path, cell_file, file, offset={"pylon_pose": 0.5})
+    measured = trial.measurements()
+    assert measured.stamps[0] == 1_714_910_400_500_000_000
+    np.testing.assert_allclose(measured.wrench[0, 5], -150.0)
+    np.testing.assert_allclose(measured.pylon[2, 0], 0.05, atol=1e-6)
+
+
 def test_a_table_that_is_too_short(tmp_path: Path) -> None:
     file = cell(tmp_path / "cell.csv")
     file.write_text("".join(line + "\n" for line in file.read_text().split("\n")[:3]))
@@ -256,6 +303,18 @@ def test_a_tap_brings_tables_together(tmp_path: Path) -> None:
     assert found["error"] == pytest.approx(np.hypot(0.001, 0.025), abs=1e-6)
     assert abs(found["offset"] + 4.0) <= found["error"]
     assert any("caps.csv -3.9" in note or "caps.csv -4" in note for note in notes)
+
+
+def test_a_tap_corrects_a_date(tmp_path: Path) -> None:
+    """Both clocks tell the date; that of the clusters is 4 s ahead."""
+    files = (
+        tapped(tmp_path / "cell.csv", 1_714_910_400.0, 500.0, -60.0, "wrench"),
+        tapped(tmp_path / "caps.csv", 1_714_910_404.0, 20.0, 0.5, "clusters"),
+    )
+    trial, _ = opened(tmp_path, *files, offset=["clusters=tap"])
+    record = yaml.safe_load((tmp_path / "trial" / "import.yaml").read_text())
+    assert abs(record["clocks"]["caps.csv"]["offset"] + 4.0) <= 0.026
+    assert abs(trial.measurements().stamps[0] - 1_714_910_400_000_000_000) <= 30_000_000
 
 
 def test_a_tap_that_nobody_saw(tmp_path: Path) -> None:
