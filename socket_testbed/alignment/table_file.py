@@ -30,7 +30,7 @@ _ISO = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T _]\d{1,2}:\d{2}.*)?")
 _GERMAN = re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}(?: .*)?")
 _CLOCK = re.compile(r"\d{1,2}:\d{2}(?::\d{2}(?:\.\d*)?)?")
 _STEPS = (5e-5, 60.0)  # [s]; a median step outside has another unit
-_DATED = (1e9, 4e9)  # [s] since 1970, from 2001 to 2096
+_DATED = (9e8, 4e9)  # [s] since 1970, from 1998 to 2096
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,13 @@
 """Tables of other sensors become a trial: values, units, clocks and refusals by hand."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from support.foreign import ForeignLab, course_of, simulate_foreign, write_tables
 from support.takes import Written, write_take
 from support.verbs import call
 from support.wording import refused
@@ -329,3 +331,19 @@ def test_the_mapping_states_what_options_do(tmp_path: Path) -> None:
     )
     trial, _ = opened(tmp_path, *three(tmp_path), mapping=mapping)
     assert len(trial.measurements().stamps) == 5
+
+
+@pytest.mark.slow
+def test_a_fit_reads_a_trial_of_tables(tmp_path: Path) -> None:
+    """Forces are those of the simulation within its noise, and of the fit within 2 N."""
+    lab = ForeignLab(wrench_delay=0.0, jitter=0.0, pose_drift=0.0)
+    truth = simulate_foreign(tmp_path / "bag", "protocol", 60.0, 0, lab)
+    files = write_tables(tmp_path, truth, (-3.0, 0.0, -7.0), lab)
+    trial, _ = opened(tmp_path, *files, offset=OFFSETS)
+    measured = trial.measurements()
+    since = (measured.stamps - measured.stamps[0]) * 1e-9
+    error = (measured.wrench - course_of(truth, truth.truth.wrench, since))[:, 3:]
+    assert np.sqrt(np.nanmean(error**2)) < 0.5
+    text = str(st.fit(trial))
+    predicted = re.search(r"mean force RMSE ([\d.]+) N", text)
+    assert predicted is not None and float(predicted[1]) < 2.0
