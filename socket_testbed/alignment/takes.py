@@ -322,7 +322,7 @@ def _fitted(take: Take, body: str, reference: FloatArray) -> Pose:
     observed = np.stack([take.markers[name] for name in names], axis=1)
     pose = fit_body(reference, observed).pose
     complete = np.isfinite(observed).all(axis=(1, 2))
-    fits = np.isfinite(pose.translation).all(axis=1)
+    fits = np.asarray(np.isfinite(pose.translation).all(axis=1))
     if complete.any() and fits[complete].mean() < _MIN_FITTED:
         raise ConfigurationError(
             f"{take.path.name}: the markers of '{body}' do not have the distances of socket.yaml",
