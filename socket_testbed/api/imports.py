@@ -94,7 +94,7 @@ def import_trial(
             `alignment.delay.find_delay`.
         wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
             socket on the limb, which is negated (default: limb).
-        tare: Span T0:T1 without load, since the first trigger [s], whose mean wrench is subtracted
+        tare: Span without load, since the first trigger [s], whose mean wrench is subtracted
             (default: none, for a load cell that is tared).
         mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
         geometry: A socket.yaml (default: the package's own).
