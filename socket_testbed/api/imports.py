@@ -20,7 +20,7 @@ from socket_testbed.api.trials import as_path, open_trial
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period, within
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.documents import check_number, path_of, read_document
-from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.errors import ConfigurationError, TrialError, closest, option_of
 from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, file_or_packaged
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
@@ -141,6 +141,7 @@ def import_trial(
     if foreign_tables.are_tables(paths):
         recording = _read_tables(paths, chosen, as_path(geometry), tap, notify)
     else:
+        _refuse_options_of_tables(paths[0], chosen, tap)
         recording = _read_bag(paths[0], chosen, notify)
     return trial_of(
         recording, output, chosen, as_path(geometry), as_path(calibration), notify=notify
@@ -203,12 +204,33 @@ def _read_tables(
     notify: Callable[[str], None],
 ) -> Recording:
     """What tables hold, on one clock."""
-    span = parse_span(tap, "--tap") if isinstance(tap, str) else tap
+    span = None
+    if tap is not None:
+        text = ":".join(map(str, tap)) if isinstance(tap, tuple | list) else str(tap)
+        span = parse_span(text, "--tap")
     socket = read_socket(file_or_packaged(geometry, SOCKET_FILE))
     tables = foreign_tables.read_tables(paths, chosen, socket, span)
     for note in tables.notes:
         notify(note)
     return Recording(paths[0].name, tables.sources, files=tables.files, record=tables.record)
+
+
+def _refuse_options_of_tables(
+    bag: Path, chosen: imported.SourceMapping, tap: str | tuple[float, float] | None
+) -> None:
+    """Refuse what only tables have, for a bag."""
+    sources = [getattr(chosen, name) for name in foreign.SOURCES]
+    given = {
+        "offset": any(own.offset is not None for own in sources),
+        "row_rate": any(own.row_rate is not None for own in sources),
+        "columns": bool(chosen.columns),
+        "units": bool(chosen.units),
+        "tap": tap is not None,
+    }
+    for name, is_given in given.items():
+        if is_given:
+            fact = f"{option_of(name)} is for tables, and {bag} is a bag"
+            raise ConfigurationError(fact, "leave it out; --delay corrects the stamps of a topic")
 
 
 def _paths(source: PathLike | Sequence[PathLike]) -> list[Path]:

@@ -324,6 +324,9 @@ def read_tables(
     stated = {name: at.offset for name, at in own.items() if at.offset is not None}
     by_tap = {str(name) for name, offset in stated.items() if offset == imported.TAP}
     numbers = {str(name): float(v) for name, v in stated.items() if v != imported.TAP}
+    if tap is not None and not by_tap:
+        fact = "--tap is given, and no offset is to be found from a tap"
+        raise ConfigurationError(fact, "give --offset SOURCE=tap too, or leave it out")
     offsets = stated_offsets(clocks, numbers, by_tap)
     if by_tap:
         offsets |= _offsets_by_tap(clocks, sources, by_tap, offsets, tap)

@@ -239,6 +239,9 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no column": ({"columns": {"force": "Fx"}}, "columns names 'force'"),
     "no unit": ({"units": {"force": "V"}}, "'V' is no unit of force"),
     "no quantity": ({"units": {"forces": "N"}}, "units names 'forces'"),
+    "a tap for nothing": ({"tap": "0:5"}, "--tap is given"),
+    "a tap that ends early": ({"tap": (5, 1)}, "--tap is '5:1'"),
+    "one number of a tap": ({"tap": 5}, "--tap is '5'"),
     "two offsets": (
         {"offset": {"socket_pose": 3, "pylon_pose": 4, "clusters": -4}},
         "take.csv has one clock",
@@ -258,6 +261,21 @@ def test_a_wrong_option_for_tables(tmp_path: Path, kind: str) -> None:
 def test_tables_are_not_mixed_with_bags(tmp_path: Path) -> None:
     with refused(TrialError, "is no table"):
         opened(tmp_path, cell(tmp_path / "cell.csv"), tmp_path / "bag")
+
+
+OF_TABLES: dict[str, dict[str, Any]] = {
+    "offset": {"offset": {"wrench": 1}},
+    "row-rate": {"row_rate": ["wrench=100"]},
+    "columns": {"columns": {"Fx": "Ch1"}},
+    "units": {"units": ["force=N"]},
+    "tap": {"tap": "0:5"},
+}
+
+
+@pytest.mark.parametrize("option", OF_TABLES)
+def test_a_bag_takes_no_option_of_tables(tmp_path: Path, option: str) -> None:
+    with refused(ConfigurationError, f"--{option} is for tables"):
+        st.import_trial(tmp_path / "bag", tmp_path / "trial", **OF_TABLES[option])
 
 
 def test_a_file_that_is_nothing(tmp_path: Path) -> None:
