@@ -42,7 +42,8 @@ class TableFormat:
             `distal.0`.
         units: Units by quantity: time, force, moment, capacitance, stress or length; they
             override those of the titles.
-        rate: Rate of the rows of a table without times [Hz]; None if it has times.
+        rate: Rate of the rows of a table without times, or whose times do not count [Hz]; None if
+            they count.
         names: Clusters of a table whose titles do not name them, in its order.
     """
 
@@ -196,7 +197,7 @@ def read_clock(table: TextTable, stated: TableFormat) -> Clock:
 
     A column of times has numbers with a unit, dates with times (2024-05-05 12:00:01.5, or
     5.5.2024 12:00:01), or times of day. Numbers of seconds since 1970 are dated. Dates without a
-    zone are taken as UTC. Without such a column, rows follow at the stated rate.
+    zone are taken as UTC. Without such a column, or if a rate is stated, rows follow at that rate.
 
     Args:
         table: The table.
@@ -209,14 +210,17 @@ def read_clock(table: TextTable, stated: TableFormat) -> Clock:
     columns = time_columns(table, stated)
     number = len(table.columns)
     every = np.arange(number)
-    if not columns or _is_blank(table, columns[-1]):
+    if stated.rate is not None or not columns or _is_blank(table, columns[-1]):
         rate = stated.rate or labview_rate(table)
         if rate is None:
             raise ConfigurationError(
                 f"no column holds the time ({shown_titles(table)})",
                 "name it with --columns time=NAME, or give the rate of the rows with --row-rate",
             )
-        return Clock(np.round(every * (_SECOND / rate)).astype(np.int64), every, False)
+        times = np.round(every * (_SECOND / rate)).astype(np.int64)
+        unused = [table.titles[k] for k in columns if not _is_blank(table, k)]
+        notes = tuple(f"the times of '{title}' do not count: a rate is stated" for title in unused)
+        return Clock(times, every, False, notes)
     title = table.titles[columns[-1]]
     cells = table.columns[columns[-1]]
     if cells.dtype.kind in "iuf" or not _are_dates(table, columns):

@@ -318,7 +318,8 @@ def read_tables(
         for name, stated in own.items()
     }
     named = {name: stated.topic for name, stated in own.items() if stated.topic is not None}
-    files = read_files(paths, formats["pylon_pose"])
+    pose_rate = own["socket_pose"].row_rate or own["pylon_pose"].row_rate
+    files = read_files(paths, replace(formats["pylon_pose"], rate=pose_rate))
     parts = propose_tables(files, named, formats["clusters"])
     sources, clocks = read_table_sources(parts, files, formats, geometry)
     stated = {name: at.offset for name, at in own.items() if at.offset is not None}

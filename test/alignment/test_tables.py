@@ -214,6 +214,13 @@ def test_rows_without_times_follow_at_a_rate(tmp_path: Path) -> None:
         read_wrench_table(path)
 
 
+def test_a_stated_rate_counts_more_than_times(tmp_path: Path) -> None:
+    path = written(tmp_path / "cell.csv", PLAIN.replace("0.01", "0.02"))
+    found = read_wrench_table(path, TableFormat(rate=100.0))
+    assert found.series.times.tolist() == [0, STEP]
+    assert "the times of 'time [s]' do not count" in found.notes[0]
+
+
 def test_an_empty_cell_is_missing(tmp_path: Path) -> None:
     text = PLAIN.replace("5.5", "").replace("0.6", "NaN")
     found = read_wrench_table(written(tmp_path / "cell.csv", text))
