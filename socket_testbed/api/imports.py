@@ -86,8 +86,8 @@ def import_trial(
             clusters, so that they count as those of the first table [s]; tap if both see one tap.
         tap: Seconds since the start of each table in which the tap is (default: any).
         columns: Titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0.
-        units: Units of tables, for time, force, moment, capacitance or stress; they override those
-            of the titles.
+        units: Units of tables, for time, force, moment, capacitance, stress or length; they
+            override those of the titles.
         row_rate: Rate of the rows of a source's table without times [Hz].
         delay: Delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the
             measurement [s]; auto finds it against the load, from a minute of brisk pushing, see

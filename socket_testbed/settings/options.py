@@ -476,8 +476,8 @@ class ImportOptions(Options):
         metavar="WHAT=TITLE",
     )
     units: Sequence[str] = several(
-        "units of tables, for time, force, moment, capacitance or stress; they override those of"
-        " the titles",
+        "units of tables, for time, force, moment, capacitance, stress or length; they override"
+        " those of the titles",
         metavar="WHAT=UNIT",
     )
     row_rate: Sequence[str] = several(

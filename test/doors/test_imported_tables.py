@@ -316,7 +316,9 @@ def test_a_tap_brings_tables_together(tmp_path: Path) -> None:
         tapped(tmp_path / "cell.csv", 3.0, 500.0, -60.0, "wrench"),
         tapped(tmp_path / "caps.csv", 7.0, 20.0, 0.5, "clusters"),
     )
-    _, notes = opened(tmp_path, *files, offset={"clusters": "tap"}, tap="0:5")
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text("clusters: {offset: tap}\n")
+    _, notes = opened(tmp_path, *files, mapping=mapping, tap="0:5")
     record = yaml.safe_load((tmp_path / "trial" / "import.yaml").read_text())
     found = record["clocks"]["caps.csv"]
     assert found["how"] == "tap"
@@ -340,6 +342,13 @@ def test_a_tap_corrects_a_date(tmp_path: Path) -> None:
 def test_a_tap_that_nobody_saw(tmp_path: Path) -> None:
     with refused(TrialError, "cell.csv: sees no tap"):
         opened(tmp_path, *three(tmp_path), offset={**OFFSETS, "clusters": "tap"})
+
+
+def test_a_mapping_with_another_word_for_an_offset(tmp_path: Path) -> None:
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text("clusters: {offset: knock}\n")
+    with refused(ConfigurationError, "mapping.yaml: clusters: offset is 'knock'"):
+        opened(tmp_path, *three(tmp_path), mapping=mapping)
 
 
 def test_the_mapping_states_what_options_do(tmp_path: Path) -> None:
