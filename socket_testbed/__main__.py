@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import keyword
 import os
 import signal
 import sys
@@ -31,6 +32,7 @@ _GROUPS = {
         "record": ("live", "trials/s01"),
         "mark": ("mark", "push"),
         "view": ("pages", "trials/s01"),
+        "import": ("imports", "lab_bag -o trials/s01 --rate 25"),
         "simulate": ("trials", "-o trials/protocol --scenario protocol --duration 60"),
     },
     "afterwards": {
@@ -134,7 +136,8 @@ def run(arguments: list[str] | None = None) -> int:
         from socket_testbed.live.processes import graph_environment  # not for --help
 
         os.environ |= graph_environment()
-        resolve_name(f"socket_testbed.commands.{VERBS[verb]}:{verb}")(**options)
+        function = verb + "_" * keyword.iskeyword(verb)
+        resolve_name(f"socket_testbed.commands.{VERBS[verb]}:{function}")(**options)
         sys.stdout.flush()
     except TestbedError as error:
         print(f"socket-testbed {verb}: error: {error}", file=sys.stderr)

@@ -125,17 +125,22 @@ def evenly(count: int, most: int) -> IntArray:
 
 
 def line_weights(offsets: FloatArray) -> FloatArray:
-    """Weights of n values in their least-squares line at offset 0, shape (n,) [-].
+    """Weights of n values in their least-squares line at offset 0, shape (..., n) [-].
 
-    The offsets are times relative to the requested time, shape (n,) [s]. The value of the line is
-    the sum of the values times their weights. If the offsets are symmetric about 0 it is the mean.
-    Otherwise, such as with missing values, the mean would lag behind a steady motion; the line does
-    not. The sum of the squared weights is the variance of the result for values of variance 1.
+    The value of the line is the sum of the values times their weights. If the offsets are symmetric
+    about 0 it is the mean. Otherwise, such as with missing values, the mean would lag behind a
+    steady motion; the line does not. The sum of the squared weights is the variance of the result
+    for values of variance 1.
+
+    Args:
+        offsets: Times of the values relative to the requested time, shape (..., n) [s]. NaN stands
+            for a value that does not count; its weight is 0.
     """
-    if len(offsets) == 0:
-        return offsets
-    mean = offsets.mean()
-    centred = offsets - mean
-    spread = float(centred @ centred)
-    weights = np.full(len(offsets), 1.0 / len(offsets))
-    return weights - centred * (mean / spread) if spread > 0.0 else weights
+    counts = np.isfinite(offsets)
+    number = np.maximum(counts.sum(axis=-1, keepdims=True), 1)
+    offsets = np.where(counts, offsets, 0.0)
+    mean = offsets.sum(axis=-1, keepdims=True) / number
+    centred = np.where(counts, offsets - mean, 0.0)
+    spread = np.einsum("...n,...n->...", centred, centred)[..., None]
+    slope = np.divide(mean, spread, out=np.zeros_like(mean), where=spread > 0.0)
+    return np.asarray(counts / number - centred * slope)

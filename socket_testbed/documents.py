@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 import re
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from itertools import count, repeat
 from pathlib import Path
 from types import UnionType
@@ -495,13 +497,20 @@ def load_json(path: Path, kind: str, again: str = "make it again") -> Any:
         raise ConfigurationError(f"{path}: is not {kind} ({error})", again) from None
 
 
-def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str:
-    """Read UTF-8 text of limited size; a byte-order mark is left out.
+def read_text(
+    path: Path,
+    kind: str = "a file",
+    largest: int = _MAX_SIZE,
+    codes: Sequence[str] = ("utf-8-sig",),
+) -> str:
+    """Read text of limited size, usually in UTF-8; a byte-order mark is left out.
 
     Args:
         path: The file.
         kind: How errors call the file, with its article, such as `a model`.
         largest: The largest size allowed [bytes].
+        codes: Encodings that it may have, of which the first that fits counts; UTF-16 only with
+            its byte-order mark.
 
     Raises:
         ConfigurationError: If the file is missing, unreadable or too large, is not UTF-8, or is
@@ -514,7 +523,7 @@ def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str
             raise ConfigurationError(f"{path}: {other[0]}", other[1])
         if len(content) > largest:
             raise ValueError(f"larger than {largest // 2**20} MiB")
-        return content.decode("utf-8-sig")
+        return _decoded(content, codes)
     except FileNotFoundError:
         fact, hint = f"no such {kind.removeprefix('a ')}", "check the path"
     except UnicodeDecodeError:
@@ -524,6 +533,17 @@ def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str
         reason = getattr(error, "strerror", None) or error
         fact, hint = f"cannot be read ({reason})", f"check that it is {kind}"
     raise ConfigurationError(f"{path}: {fact}", hint)
+
+
+def _decoded(content: bytes, codes: Sequence[str]) -> str:
+    """Text in the first encoding that fits."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) and "utf-16" in codes:
+        return content.decode("utf-16")
+    *others, last = [code for code in codes if code != "utf-16"]
+    for code in others:
+        with suppress(UnicodeDecodeError):
+            return content.decode(code)
+    return content.decode(last)
 
 
 _STATED_SEPARATOR = re.compile(r'\s*"?sep=(.)"?[;,\t ]*(?:\r\n|\r|\n|$)', flags=re.IGNORECASE)

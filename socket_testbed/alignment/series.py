@@ -47,9 +47,9 @@ class ClusterSeries:
     Attributes:
         times: When each row was measured, by the source's clock, shape (N,) [ns]; ascending.
         clusters: Names of the C clusters.
-        values: Capacitances by channel of {L}, shape (N, C, 4) [pF], or stresses `normal` (positive
-            in compression), `shear_x`, `shear_y` along the cluster's axes, shape (N, C, 3) [Pa];
-            NaN where a value is missing.
+        values: Capacitances by converter input, as the `wiring` of the calibration counts them,
+            shape (N, C, 4) [pF], or stresses `normal` (positive in compression), `shear_x`,
+            `shear_y` along the cluster's axes, shape (N, C, 3) [Pa]; NaN where a value is missing.
     """
 
     times: IntArray

@@ -31,6 +31,7 @@ from socket_testbed.api.comparison import Comparison, compare
 from socket_testbed.api.cycles import Cycles, cycles
 from socket_testbed.api.design import CalibratedCluster, calibrate, register, tile
 from socket_testbed.api.export import export
+from socket_testbed.api.imports import import_trial
 from socket_testbed.api.models import evaluate, fit, predict, read_model
 from socket_testbed.api.pages import view, write_comparison, write_report
 from socket_testbed.api.pressure import force_map, pressure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.cells import split_title, units_below, without_comments
 from socket_testbed.documents import read_text, split_separator
 from socket_testbed.drivers.clusters.fdc1004 import PER_PICOFARAD
 from socket_testbed.errors import CalibrationError
@@ -35,6 +35,8 @@ UNITS: dict[str, dict[str, float]] = {
     **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, **_COUNTS} for name in INPUTS},
 }
 """Units of each quantity with their factors to s, Pa (or N) and pF; a cycle has no unit."""
+
+_ALL_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
 
 UNNAMED = -1  # cycle of a row if its file has no cycle column
 _SCALE_PERCENTILE = 99.0  # [%]; ignores a few wrong stresses
@@ -122,7 +124,7 @@ def read_bench(
     and `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Units are given in
     the header, such as `normal [kPa]`, or in a separate row below it. Columns are separated by
     commas, semicolons or tabs, or as a first line such as `sep=;` states; other columns are
-    ignored, as are lines that begin with `#` or `%`.
+    ignored, as are lines that begin with `#`, `%` or `//`.
 
     Args:
         path: The file.
@@ -273,7 +275,7 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
     import pandas as pd  # imported late: every verb imports this module
 
     text = read_text(path, largest=_MAX_FILE_SIZE).replace("\r\n", "\n").replace("\r", "\n")
-    separator, text = split_separator(_without_comments(text))
+    separator, text = split_separator(without_comments(text))
     above = len(text) - len(text.lstrip(" \n"))
     try:
         cells = pd.read_csv(
@@ -303,61 +305,13 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
     titles, cells = cells.iloc[0].tolist(), cells[1:]
     if separator != ",":
         cells = cells.replace(",", ".", regex=True)
-    below = [cell.strip("[]()") for cell in cells.iloc[0]]
-    if set(below) & _ALL_UNITS and not any(re.match(r"[-+.]?\d", cell) for cell in below):
-        named = zip(titles, below, strict=True)
-        titles = [f"{t} [{unit}]" if unit and not _split(t)[1] else t for t, unit in named]
-        cells = cells[1:]
+    if with_units := units_below(titles, cells.iloc[0].tolist(), _ALL_UNITS):
+        titles, cells = with_units, cells[1:]
     if cells.empty:
         raise CalibrationError(
             f"{path}: has no data rows", "give a row per reading below the units"
         )
     return titles, cells
-
-
-# Errors of spreadsheet programs are no comments.
-_COMMENT = re.compile(r'[ \t]*"?[ \t]*(?:#(?!N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!)|%)')
-_NUMBER_FIRST = re.compile(r'[ \t]*"?[-+.]?\d')
-
-
-def _without_comments(text: str) -> str:
-    """The text with comment lines left blank, so that the numbers of the lines stay.
-
-    Comments begin with `#` or `%`. The last one above the data is the header, without its mark, if
-    the first line of the data begins with a number and has as many columns.
-
-    Args:
-        text: The file's text, whose lines end with a line feed.
-    """
-    lines = text.split("\n")
-    comments = [_COMMENT.match(line) for line in lines]
-    kept = ["" if comment else line for line, comment in zip(lines, comments, strict=True)]
-    first = next((k for k, line in enumerate(kept) if line.strip() and not _is_sep(line)), 0)
-    above = [k for k in range(first) if comments[k]]
-    if above and _NUMBER_FIRST.match(lines[first]):
-        title, mark = lines[above[-1]], comments[above[-1]]
-        title = ('"' if mark and '"' in mark[0] else "") + title[
-            mark.end() if mark else 0 :
-        ].lstrip()
-        separator = split_separator(text)[0] if _is_sep(lines[0]) else split_separator(title)[0]
-        if title.count(separator) == lines[first].count(separator) > 0:
-            kept[above[-1]] = title
-    return "\n".join(kept)
-
-
-def _is_sep(line: str) -> bool:
-    return split_separator(line)[1] != line
-
-
-_ALL_UNITS = {unit for units in UNITS.values() for unit in units}
-_BRACKETED = re.compile(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]")
-_SUFFIXED = re.compile(rf"(.*?)[\s_]+({'|'.join(sorted(_ALL_UNITS))})", flags=re.IGNORECASE)
-
-
-def _split(title: str) -> tuple[str, str]:
-    """Name and unit of a column: `normal [kPa]`, `normal (kPa)`, `normal_kPa`, `normal kPa`."""
-    found = _BRACKETED.fullmatch(title) or _SUFFIXED.fullmatch(title)
-    return (found[1].strip(), found[2].strip()) if found else (title, "")
 
 
 def _find_columns(
@@ -395,10 +349,11 @@ def _find_columns(
 
 def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
     """Indices of the columns that match a quantity, by its name or the requested title."""
+    names = [split_title(title, _ALL_UNITS)[0] for title in header]
     if wanted is None:
-        return [i for i, title in enumerate(header) if _split(title)[0].lower() == name]
+        return [i for i, title in enumerate(names) if title.lower() == name]
     exact = [i for i, title in enumerate(header) if title == wanted.strip()]
-    return exact or [i for i, title in enumerate(header) if _split(title)[0] == wanted.strip()]
+    return exact or [i for i, title in enumerate(names) if title == wanted.strip()]
 
 
 def _with_unit(column: _Column, units: Mapping[str, str], area: float | None) -> _Column:
@@ -407,7 +362,7 @@ def _with_unit(column: _Column, units: Mapping[str, str], area: float | None) ->
     A stress may be given as a force on an area [m^2].
     """
     name, known = column.quantity, UNITS[column.quantity]
-    written = units.get(name) or _split(column.title)[1]
+    written = units.get(name) or split_title(column.title, _ALL_UNITS)[1]
     if not known:
         return column
     if not written:

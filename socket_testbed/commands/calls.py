@@ -20,6 +20,7 @@ from socket_testbed.settings.options import (
     ExportOptions,
     FitOptions,
     FrontOptions,
+    ImportOptions,
     MapOptions,
     MetadataOptions,
     OpenOptions,
@@ -338,6 +339,14 @@ class Simulate(SimulationOptions, summary="write a simulated trial with its grou
     output: Path = required("folder of the new trial")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Import(ImportOptions, summary="make a trial from other sensors' topics or tables"):
+    """Options of `import`."""
+
+    source: list[Path] = argument("folder or storage file of a bag, or tables")
+    output: Path = required("folder of the new trial")
+
+
 # Afterwards.
 
 
@@ -550,12 +559,13 @@ class Paper(
     trial: Path = argument("folder of the trial")
 
 
-# For each verb, its call; the name of a verb's function is that of the verb.
+# For each verb, its call; the name of a verb's function is that of the verb, that of `import`
+# `import_`.
 CALLS: dict[str, type[Options]] = {
     call.__name__.lower(): call
     for call in (
         *(Demo, Tile, Calibrate, Register, Doctor),
-        *(Run, Record, Mark, View, Simulate),
+        *(Run, Record, Mark, View, Simulate, Import),
         *(Info, Annotate, Report, Pressure, Compare, Fit, Evaluate, Validate),
         *(Replay, Export, Map, Pareto, Paper),
     )

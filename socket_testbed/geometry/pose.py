@@ -103,6 +103,37 @@ def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.einsum("...ij,...j->...i", rotation, vectors)
 
 
+def weighted_pose(vectors: FloatArray, weights: FloatArray) -> FloatArray:
+    """Weighted means on SE(3) of m nearby poses each, as `Pose.vector`, shape (..., 7) [m, -].
+
+    The mean of the positions, and that of the rotations in the tangent space of their chordal mean
+    (Hartley 2013, doi:10.1007/s11263-012-0601-0). With the weights of `arrays.line_weights` it is
+    the pose on a line through the poses.
+
+    Args:
+        vectors: The poses as `Pose.vector`, shape (..., m, 7) [m, -]. Their rotations are less than
+            half a turn apart.
+        weights: Their weights, shape (..., m) [-], with the sum 1; the pose of a weight 0 does not
+            count, and may be NaN.
+    """
+    counts = weights != 0.0
+    vectors = np.where(counts[..., None], vectors, 0.0)
+    position = np.einsum("...m,...mi->...i", weights, vectors[..., :3])
+    quaternions = vectors[..., 3:]
+    # The chordal mean: the quaternion nearest to all, whatever their signs.
+    products = np.einsum("...mi,...mj->...ij", quaternions, quaternions)
+    mean = np.linalg.eigh(products)[1][..., -1]
+    flat = Rotation.from_quat(mean.reshape(-1, 4))
+    number = weights.shape[-1]
+    quaternions[~counts] = [0.0, 0.0, 0.0, 1.0]
+    own = Rotation.from_quat(quaternions.reshape(-1, 4))
+    every = Rotation.from_quat(np.repeat(flat.as_quat(), number, axis=0))
+    turns = (every.inv() * own).as_rotvec().reshape(*weights.shape, 3)
+    turn = np.einsum("...m,...mi->...i", weights, turns).reshape(-1, 3)
+    rotation = (flat * Rotation.from_rotvec(turn)).as_quat().reshape(*weights.shape[:-1], 4)
+    return np.concatenate([position, rotation], axis=-1)
+
+
 def about_z(angle: float) -> FloatArray:
     """Rotation about z by an angle [rad], shape (3, 3) [-]."""
     return np.asarray(Rotation.from_euler("z", angle).as_matrix())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -417,6 +417,93 @@ class SimulationOptions(Options):
     replace: bool = option(
         False, "replace an older simulated trial in that folder, and nothing else"
     )
+
+
+WrenchOf = Literal["limb", "socket"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(Options):
+    """Options of `st.import_trial`."""
+
+    wrench: str | None = option(
+        None,
+        "topic or table of the load cell's wrench, or none (default: found by its type)",
+        metavar="TOPIC",
+    )
+    socket_pose: str | None = option(
+        None,
+        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
+        " of a take, or none (default: found by type and name)",
+        metavar="TOPIC",
+    )
+    pylon_pose: str | None = option(
+        None,
+        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
+        " of a take, or none (default: found by type and name)",
+        metavar="TOPIC",
+    )
+    clusters: str | None = option(
+        None,
+        "topic or table of the clusters' capacitances or stresses, or none (default: found by type"
+        " and name)",
+        metavar="TOPIC",
+    )
+    names: Sequence[str] = several(
+        "clusters of an array or table without names, in its order, four capacitances each"
+    )
+    rate: float | None = option(
+        None,
+        "rate of triggers over the time that all sources share [Hz] (default:"
+        f" {TriggerSettings.rate:g}, unless a trigger is given)",
+        either="triggers",
+    )
+    trigger: str | None = option(
+        None, "topic whose stamps are the triggers", metavar="TOPIC", either="triggers"
+    )
+    offset: Sequence[str] = several(
+        "what to add to the times of the table of wrench, socket_pose, pylon_pose or clusters, so"
+        " that they count as those of the first table [s]; tap if both see one tap",
+        metavar="SOURCE=S",
+    )
+    tap: str | None = option(
+        None,
+        "seconds since the start of each table in which the tap is (default: any)",
+        metavar="T0:T1",
+    )
+    columns: Sequence[str] = several(
+        "titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0",
+        metavar="WHAT=TITLE",
+    )
+    units: Sequence[str] = several(
+        "units of tables, for time, force, moment, capacitance, stress or length; they override"
+        " those of the titles",
+        metavar="WHAT=UNIT",
+    )
+    row_rate: Sequence[str] = several(
+        "rate of the rows of a source's table without times [Hz]", metavar="SOURCE=HZ"
+    )
+    delay: Iterable[str] = several(
+        "delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the measurement"
+        " [s]; auto finds it against the load, from a minute of brisk pushing",
+        metavar="SOURCE=S",
+    )
+    wrench_of: WrenchOf | None = option(
+        None,
+        "whose force the wrench is: of the limb on the socket, as in a trial, or of the socket on"
+        " the limb, which is negated (default: limb)",
+    )
+    tare: str | None = option(
+        None,
+        "span without load, since the first trigger [s], whose mean wrench is subtracted (default:"
+        " none, for a load cell that is tared)",
+        metavar="T0:T1",
+    )
+    mapping: Path | None = option(
+        None, "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}"
+    )
+    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
+    calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")
 
 
 # The socket and its calibration.

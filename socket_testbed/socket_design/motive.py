@@ -17,7 +17,9 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -295,12 +297,14 @@ def _read_numbers(rows: dict[int, list[str]], columns: _Columns) -> FloatArray:
         for (meaning, axis), column in parts.items()
     }
     table = np.full((len(rows), max(titles) + 1), np.nan)
-    for numbers, (line, row) in zip(table, rows.items(), strict=True):
-        for column, title in titles.items():
-            numbers[column] = _number(row[column])
-            if row[column] and not abs(numbers[column]) < _MAX_NUMBER:
-                fact = f"line {line}, column {column + 1} ({title}) holds '{row[column]}'"
-                raise RegistrationError(fact, f"{_AGAIN}, or put the number there")
+    for column, title in titles.items():
+        cells = [row[column] for row in rows.values()]
+        numbers = table[:, column] = _numbers(cells)
+        wrong = ~(np.abs(numbers) < _MAX_NUMBER) & np.array([bool(cell) for cell in cells])
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            fact = f"line {[*rows][first]}, column {column + 1} ({title}) holds '{cells[first]}'"
+            raise RegistrationError(fact, f"{_AGAIN}, or put the number there")
     for column in (0, 1):
         rising = np.diff(table[:, column], prepend=-np.inf) > 0.0  # false for a blank cell
         _refuse_rows(~rising, rows, f"the {titles[column]} does not follow the one before")
@@ -315,6 +319,17 @@ def _cells(line: str, separator: str, number: int) -> list[str]:
         return next(csv.reader([line], delimiter=separator, strict=True))
     except csv.Error as error:
         raise RegistrationError(f"line {number} is not CSV ({error})", _AGAIN) from None
+
+
+_PLAIN = re.compile(r"[-+\d.eE\n]*", flags=re.ASCII)
+
+
+def _numbers(cells: list[str]) -> FloatArray:
+    """The numbers in cells, shape (N,); NaN for those that hold none."""
+    if _PLAIN.fullmatch("\n".join(cells)):
+        with suppress(ValueError):
+            return np.array([cell or "nan" for cell in cells]).astype(np.float64)
+    return np.array([_number(cell) for cell in cells])
 
 
 def _number(cell: str) -> float:

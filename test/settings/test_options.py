@@ -21,6 +21,7 @@ TAKEN: dict[Callable[..., Any], type[options.Options]] = {
     st.export: options.ExportOptions,
     st.fit: options.FitOptions,
     st.force_map: options.MapOptions,
+    st.import_trial: options.ImportOptions,
     st.open_trial: options.OpenOptions,
     st.pareto: options.FrontOptions,
     st.paper: options.PaperOptions,

@@ -36,7 +36,7 @@ class Written:
         return len(next(iter(self.markers.values())))
 
 
-def motive_lines(take: Written) -> list[str]:
+def motive_lines(take: Written, rate: float = RATE) -> list[str]:
     """The lines of an export: the header and blank line, the rows of names, the frames."""
     # Titles (type, name, property, axis) and numbers of the columns behind the time.
     titles, columns, scale = [], [], UNITS[take.unit]
@@ -51,7 +51,7 @@ def motive_lines(take: Written) -> list[str]:
             columns += [*(positions / scale).T]
     header = (
         f"Format Version,{take.version},Take Name,Take 2024-05-05 03.49.50 PM"
-        f",Capture Frame Rate,{2.0 * RATE:.6f},Export Frame Rate,{RATE:.6f}"
+        f",Capture Frame Rate,{2.0 * rate:.6f},Export Frame Rate,{rate:.6f}"
         f",Total Exported Frames,{len(take)},Rotation Type,Quaternion"
         f",Length Units,{take.unit},Coordinate Space,Global"
     )
@@ -65,12 +65,12 @@ def motive_lines(take: Written) -> list[str]:
     rows += [["", "", *meanings], ["Frame", "Time (Seconds)", *axes]]
     for frame, numbers in enumerate(np.array(columns).T):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]
-        rows.append([str(frame), f"{frame / RATE:.6f}", *cells])
+        rows.append([str(frame), f"{frame / rate:.6f}", *cells])
     return [header, "", *(",".join(row) for row in rows)]
 
 
-def write_take(take: Written, path: Path) -> Path:
-    return write_lines(motive_lines(take), path)
+def write_take(take: Written, path: Path, rate: float = RATE) -> Path:
+    return write_lines(motive_lines(take, rate), path)
 
 
 def write_lines(lines: list[str], path: Path, newline: str = "\r\n", code: str = "utf-8") -> Path:

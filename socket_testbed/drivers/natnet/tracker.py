@@ -21,7 +21,7 @@ from socket_testbed.drivers.natnet.messages import (
     RigidBodyDefinition,
 )
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, MIN_MARKERS, distances, fit_body
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose import Pose, weighted_pose
 from socket_testbed.settings.acquisition import MAX_STALE, MocapSettings
 
 _HISTORY = MAX_STALE  # [s]
@@ -332,9 +332,5 @@ def _mean(
     weights = line_weights(offsets[usable])
     if len(weights) < 2 or weights @ weights > max_variance:
         return None
-    rotations = Rotation.from_matrix(poses.rotation[usable])
-    # The chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
-    mean = rotations.mean()
-    turn = Rotation.from_rotvec(weights @ (mean.inv() * rotations).as_rotvec())
-    vector = np.hstack([weights @ poses.translation[usable], (mean * turn).as_quat()])
-    return vector, len(weights)
+    chosen = Pose(poses.rotation[usable], poses.translation[usable])
+    return weighted_pose(chosen.vector, weights), len(weights)

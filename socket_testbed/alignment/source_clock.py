@@ -1,0 +1,87 @@
+"""A source's own clock against that of the recording, from stamps and times of arrival."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray, IntArray
+
+_BLOCK = 10.0  # [s]; of which the quickest arrivals count
+_QUICK = 0.1  # quantile of the delays of arrival that is little disturbed
+MAX_OFFSET = 0.5  # [s]; between the clocks, beyond which stamps are not comparable
+MAX_CHANGE = 0.004  # [s]; of the offset over the recording
+_MAX_DRIFT = 2e-3  # [-]; more is a clock that was set meanwhile
+
+
+@dataclass(frozen=True)
+class SourceClock:
+    """The clock of a source, a line against that of the recording.
+
+    Attributes:
+        start: First stamp, by the source's clock [ns].
+        offset: Time of arrival minus stamp at the start, of the quickest messages [s].
+        drift: Change of the offset per time [-]; positive if the source's clock is slow.
+        duration: Time from the first stamp to the last [s].
+        jitter: Usual departure of the arrivals from the line [s].
+    """
+
+    start: int
+    offset: float
+    drift: float
+    duration: float
+    jitter: float
+
+    @property
+    def is_another(self) -> bool:
+        """Whether it is not the clock of the recording: set otherwise, or drifting."""
+        change = abs(self.drift) * self.duration
+        return abs(self.offset) > MAX_OFFSET or change > MAX_CHANGE
+
+    def to_recording(self, stamps: IntArray) -> IntArray:
+        """Times on the clock of the recording of stamps of the source, shape (N,) [ns]."""
+        since = (stamps - self.start) * 1e-9
+        correction = np.round(1e9 * (self.offset + self.drift * since)).astype(np.int64)
+        return np.asarray(stamps + correction)
+
+    def __str__(self) -> str:
+        drift = 1e6 * self.drift
+        return f"{self.offset:+.3f} s behind at first, then {drift:+.0f} us more each second"
+
+
+def source_clock(stamps: IntArray, arrivals: IntArray) -> SourceClock:
+    """The clock of a source from its messages; the quickest of each ten seconds count.
+
+    What all messages need to arrive counts as offset, since nothing tells it from one.
+
+    Args:
+        stamps: Stamps by the source's clock, shape (N,) [ns], one or more.
+        arrivals: When the recording received them, shape (N,) [ns].
+    """
+    start = int(stamps[0])
+    since = (stamps - start) * 1e-9
+    late = (arrivals - stamps) * 1e-9
+    duration = float(np.ptp(since))
+    blocks = np.floor(since / _BLOCK).astype(np.int64)
+    if duration < 3.0 * _BLOCK:
+        offset = float(np.quantile(late, _QUICK))
+        return SourceClock(start, offset, 0.0, duration, float(np.median(np.abs(late - offset))))
+    middles, quick = [], []
+    for block in np.unique(blocks):
+        own = blocks == block
+        middles.append(float(since[own].mean()))
+        quick.append(float(np.quantile(late[own], _QUICK)))
+    drift, offset = _line(np.array(middles), np.array(quick))
+    if abs(drift) > _MAX_DRIFT:
+        drift, offset = 0.0, float(np.median(quick))
+    jitter = float(np.median(np.abs(late - offset - drift * since)))
+    return SourceClock(start, offset, drift, duration, jitter)
+
+
+def _line(times: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Slope and value at 0 of a line through points, by the median slope (Theil and Sen)."""
+    later, earlier = np.triu_indices(len(times), 1)[::-1]
+    slopes = (values[later] - values[earlier]) / (times[later] - times[earlier])
+    slope = float(np.median(slopes))
+    return slope, float(np.median(values - slope * times))

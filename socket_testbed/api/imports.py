@@ -1,0 +1,571 @@
+"""Trials from other laboratories' sensors."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+import numpy as np
+
+from socket_testbed.alignment.align import Aligned, align
+from socket_testbed.alignment.common_clock import MAX_OFFSET
+from socket_testbed.alignment.delay import Delay, find_delay
+from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
+from socket_testbed.alignment.triggers import triggers_at
+from socket_testbed.api.trials import as_path, open_trial
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period, within
+from socket_testbed.calibration.model import Calibration, read_calibration
+from socket_testbed.documents import check_number, path_of, read_document
+from socket_testbed.errors import ConfigurationError, TrialError, closest, option_of
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, file_or_packaged
+from socket_testbed.geometry.regions import proximal_direction
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.results.result import PathLike
+from socket_testbed.samples import Status
+from socket_testbed.settings.acquisition import TriggerSettings, averaging_span
+from socket_testbed.settings.alignment import MAX_DELAY
+from socket_testbed.settings.options import WrenchOf
+from socket_testbed.trials import foreign, foreign_tables, imported
+from socket_testbed.trials.bag import BagReader, RawMessage
+from socket_testbed.trials.segment import parse_span
+from socket_testbed.trials.trial import Trial, read_configuration
+
+_CLEAR_LOAD = 50.0  # [N]; above which the load shows the sign of the wrench
+
+
+def import_trial(
+    source: PathLike | Sequence[PathLike],
+    path: PathLike,
+    *,
+    wrench: str | None = None,
+    socket_pose: str | None = None,
+    pylon_pose: str | None = None,
+    clusters: str | None = None,
+    names: Sequence[str] = (),
+    rate: float | None = None,
+    trigger: str | None = None,
+    offset: Sequence[str] | Mapping[str, float | str] = (),
+    tap: str | tuple[float, float] | None = None,
+    columns: Sequence[str] | Mapping[str, str] = (),
+    units: Sequence[str] | Mapping[str, str] = (),
+    row_rate: Sequence[str] | Mapping[str, float] = (),
+    delay: Iterable[str] | Mapping[str, float | str] = (),
+    wrench_of: WrenchOf | None = None,
+    tare: str | None = None,
+    mapping: PathLike | None = None,
+    geometry: PathLike | None = None,
+    calibration: PathLike | None = None,
+    notify: Callable[[str], None] | None = None,
+) -> Trial:
+    """Make a trial from other sensors' topics in a bag, or tables; they stay as they are.
+
+    The values at each trigger come from the readings in a window around it, see
+    `socket_testbed.alignment`. The trial also holds the messages that were read, or copies of the
+    tables, and `import.yaml`, which states topics or files, offsets, delays and windows.
+
+    Args:
+        source: Folder or storage file of the bag; or tables, one or more: of a load cell, of
+            capacitances or stresses, and takes of motion capture, which their columns tell apart.
+        path: Folder of the new trial.
+        wrench: Topic or table of the load cell's wrench, or none (default: found by its type).
+        socket_pose: Topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform,
+            FILE:BODY of a take, or none (default: found by type and name).
+        pylon_pose: Topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform,
+            FILE:BODY of a take, or none (default: found by type and name).
+        clusters: Topic or table of the clusters' capacitances or stresses, or none (default: found
+            by type and name).
+        names: Clusters of an array or table without names, in its order, four capacitances each.
+        rate: Rate of triggers over the time that all sources share [Hz] (default: 4, unless a
+            trigger is given).
+        trigger: Topic whose stamps are the triggers.
+        offset: What to add to the times of the table of wrench, socket_pose, pylon_pose or
+            clusters, so that they count as those of the first table [s]; tap if both see one tap.
+        tap: Seconds since the start of each table in which the tap is (default: any).
+        columns: Titles of columns of tables, for time, Fx to Mz, or a channel such as distal.0.
+        units: Units of tables, for time, force, moment, capacitance, stress or length; they
+            override those of the titles.
+        row_rate: Rate of the rows of a source's table without times [Hz].
+        delay: Delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the
+            measurement [s]; auto finds it against the load, from a minute of brisk pushing, see
+            `alignment.delay.find_delay`.
+        wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
+            socket on the limb, which is negated (default: limb).
+        tare: Span without load, since the first trigger [s], whose mean wrench is subtracted
+            (default: none, for a load cell that is tared).
+        mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
+        geometry: A socket.yaml (default: the package's own).
+        calibration: A calibration.yaml (default: the package's own).
+        notify: Called with each note, such as the topics used and what is missing; None issues
+            warnings.
+
+    Returns:
+        The new trial, opened as by `st.open_trial`.
+
+    Raises:
+        TrialError: The bag cannot be read, a topic is not there or of another type, several topics
+            suit, or the sources share no time.
+        ConfigurationError: An option or a file is wrong, or the folder exists.
+    """
+    notify = warnings.warn if notify is None else notify
+    paths = _paths(source)
+    output = path_of(path, "the folder of the trial")
+    check_new_folder(output)
+    given = {
+        "wrench": wrench,
+        "socket_pose": socket_pose,
+        "pylon_pose": pylon_pose,
+        "clusters": clusters,
+    }
+    numbers = {
+        "delay": _by_source(delay, "delay", (-MAX_DELAY, MAX_DELAY), imported.AUTO),
+        "offset": _by_source(offset, "offset", (-MAX_OFFSET, MAX_OFFSET), imported.TAP),
+        "row_rate": _by_source(row_rate, "row_rate", (0.1, 20000.0)),
+    }
+    chosen = _mapping(as_path(mapping), given, numbers, names, wrench_of)
+    chosen = msgspec.structs.replace(
+        chosen,
+        columns={**chosen.columns, **_pairs(columns, "columns", "a column and its title")},
+        units={**chosen.units, **_pairs(units, "units", "a quantity and its unit")},
+    )
+    if tare is not None:
+        chosen = msgspec.structs.replace(
+            chosen, wrench=msgspec.structs.replace(chosen.wrench, tare=tare)
+        )
+    if chosen.wrench.tare is not None:
+        parse_span(chosen.wrench.tare, "--tare")
+    chosen = _with_triggers(chosen, rate, trigger)
+    if foreign_tables.are_tables(paths):
+        recording = _read_tables(paths, chosen, as_path(geometry), tap, notify)
+    else:
+        _refuse_options_of_tables(paths[0], chosen, tap)
+        recording = _read_bag(paths[0], chosen, notify)
+    return trial_of(
+        recording, output, chosen, as_path(geometry), as_path(calibration), notify=notify
+    )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What other sensors recorded, whether in a bag or in tables.
+
+    Attributes:
+        name: Name of the bag or of the first table, for the record.
+        sources: The measurements, on one clock.
+        triggers: Times of the triggers of a topic, shape (N,) [ns]; None for the mapping's rate.
+        messages: The messages from which the measurements come; the trial stores them unchanged.
+        files: The tables from which they come, by name; the trial stores them unchanged.
+        record: What `import.yaml` states of the tables.
+    """
+
+    name: str
+    sources: Mapping[foreign.Source, foreign.ForeignSource]
+    triggers: IntArray | None = None
+    messages: Sequence[RawMessage] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    record: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _read_bag(
+    source: Path, chosen: imported.SourceMapping, notify: Callable[[str], None]
+) -> Recording:
+    """What a bag's topics measured."""
+    with BagReader(source) as reader:
+        for note in reader.notes:
+            notify(note)
+        stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
+        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
+        if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
+            known = [name for name, count in reader.counts.items() if count]
+            fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
+            raise TrialError(fact, closest(chosen.trigger, known))
+        received = foreign.read_messages(reader, found, chosen.trigger)
+    sources = {
+        name: foreign.read_source(name, at, received, chosen.clusters.names)
+        for name, at in found.items()
+    }
+    triggers = None
+    if chosen.trigger is not None:
+        triggers = foreign.read_stamps(received.get(chosen.trigger, ()))
+        if not len(triggers):
+            raise TrialError(f"{chosen.trigger}: no message can be decoded", "give --rate instead")
+    messages = [message for each in received.values() for message in each]
+    return Recording(source.name, sources, triggers, messages)
+
+
+def _read_tables(
+    paths: Sequence[Path],
+    chosen: imported.SourceMapping,
+    geometry: Path | None,
+    tap: str | tuple[float, float] | None,
+    notify: Callable[[str], None],
+) -> Recording:
+    """What tables hold, on one clock."""
+    span = None
+    if tap is not None:
+        text = ":".join(map(str, tap)) if isinstance(tap, tuple | list) else str(tap)
+        span = parse_span(text, "--tap")
+    socket = read_socket(file_or_packaged(geometry, SOCKET_FILE))
+    tables = foreign_tables.read_tables(paths, chosen, socket, span)
+    for note in tables.notes:
+        notify(note)
+    return Recording(paths[0].name, tables.sources, files=tables.files, record=tables.record)
+
+
+def _refuse_options_of_tables(
+    bag: Path, chosen: imported.SourceMapping, tap: str | tuple[float, float] | None
+) -> None:
+    """Refuse what only tables have, for a bag."""
+    sources = [getattr(chosen, name) for name in foreign.SOURCES]
+    given = {
+        "offset": any(own.offset is not None for own in sources),
+        "row_rate": any(own.row_rate is not None for own in sources),
+        "columns": bool(chosen.columns),
+        "units": bool(chosen.units),
+        "tap": tap is not None,
+    }
+    for name, is_given in given.items():
+        if is_given:
+            fact = f"{option_of(name)} is for tables, and {bag} is a bag"
+            raise ConfigurationError(fact, "leave it out; --delay corrects the stamps of a topic")
+
+
+def _paths(source: PathLike | Sequence[PathLike]) -> list[Path]:
+    """The bag, or the tables, that a user gives."""
+    given: list[Any] = [source]
+    if isinstance(source, Sequence) and not isinstance(source, str):
+        given = [*source]
+    paths = [path_of(each, "the bag") for each in given]
+    if not paths:
+        raise ConfigurationError("no bag or table is given", "name a bag, or tables")
+    if len(paths) > 1 and not foreign_tables.are_tables(paths):
+        fact = f"{paths[1]} is given beside {paths[0]}"
+        raise ConfigurationError(fact, "import one bag, or several tables")
+    return paths
+
+
+def trial_of(
+    recording: Recording,
+    path: Path,
+    chosen: imported.SourceMapping,
+    geometry: Path | None = None,
+    calibration: Path | None = None,
+    *,
+    notify: Callable[[str], None],
+) -> Trial:
+    """Make a trial of what other sensors recorded.
+
+    Args:
+        recording: What they recorded.
+        path: Folder of the new trial.
+        chosen: How it is brought to triggers; its topics do not matter here.
+        geometry: A socket.yaml; None for the package's own.
+        calibration: A calibration.yaml; None for the package's own.
+        notify: Called with each note.
+
+    Raises:
+        TrialError: If a source has no value at any trigger, or the sources share no time.
+        ConfigurationError: If a file is wrong, or the folder exists.
+    """
+    configuration = read_configuration(geometry, calibration)
+    socket = read_socket(file_or_packaged(geometry, SOCKET_FILE))
+    coefficients = read_calibration(file_or_packaged(calibration, CALIBRATION_FILE))
+    sources = recording.sources
+    for lacking in foreign.SOURCES:
+        if lacking not in sources:
+            notify(foreign.LACKING[lacking])
+    for place, own in sources.items():
+        notify(_in_words(place, own))
+        for note in own.notes:
+            notify(note)
+    delays = _delays_of(sources, chosen, notify)
+    triggers = recording.triggers
+    if triggers is None:
+        assert chosen.rate is not None
+        named = {f"the {foreign.in_words(name)}": own.series for name, own in sources.items()}
+        seconds = {f"the {foreign.in_words(name)}": own.delay for name, own in delays.items()}
+        triggers = triggers_at(chosen.rate, named, seconds)
+    period = 1e-9 * usual_period(triggers) if len(triggers) > 1 else 0.0
+    settings = {name: getattr(chosen, name).settings(delays[name].delay) for name in sources}
+    aligned: dict[foreign.Source, Aligned] = {
+        name: align(own.series, triggers, settings[name], period) for name, own in sources.items()
+    }
+    _refuse_nothing(aligned, sources, triggers)
+    record: dict[str, Any] = {"from": recording.name, **recording.record}
+    record["triggers"] = _trigger_record(chosen, triggers)
+    for name, own in sources.items():
+        window = averaging_span(settings[name].window, period)
+        record[name] = {"topic": own.topic, "type": own.type}
+        record[name] |= imported.described(aligned[name], settings[name], window)
+        if getattr(chosen, name).delay == imported.AUTO:
+            ends = delays[name].low, delays[name].high
+            record[name]["delay_interval"] = [round(end, 6) for end in ends]
+    record["notes"] = [note for own in sources.values() for note in own.notes]
+    if "wrench" in aligned:
+        values = aligned["wrench"].values
+        if chosen.wrench.tare is not None:
+            no_load = _no_load(sources["wrench"], chosen.wrench.tare, triggers, delays["wrench"])
+            values = values - no_load
+            record["wrench"]["tare"] = {
+                "span": chosen.wrench.tare, "values": [round(v, 6) for v in no_load.tolist()]
+            }  # fmt: skip
+        values = imported.in_load_cell(values, chosen.wrench)
+        aligned["wrench"] = replace(aligned["wrench"], values=values)
+        record["wrench"]["of"] = chosen.wrench.of
+        if chosen.wrench.pose is not None:
+            record["wrench"]["pose"] = msgspec.to_builtins(chosen.wrench.pose)
+        if doubt := _sign_doubt(values, socket, chosen.wrench.of):
+            notify(doubt)
+    cluster_values = _cluster_values(sources, aligned, coefficients, triggers, notify)
+    files = {**configuration, **recording.files}
+    imported.write_imported_trial(
+        path,
+        triggers,
+        {str(name): own for name, own in aligned.items()},
+        cluster_values,
+        recording.messages,
+        files,
+        record,
+    )
+    return open_trial(path, notify=notify)
+
+
+def _delays_of(
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    chosen: imported.SourceMapping,
+    notify: Callable[[str], None],
+) -> dict[foreign.Source, Delay]:
+    """Delays of the sources: those stated, and those that the load tells where they are `auto`."""
+    delays: dict[foreign.Source, Delay] = {}
+    sought: list[foreign.Source] = []
+    for name in sources:
+        stated = getattr(chosen, name).delay
+        if stated == imported.AUTO:
+            sought.append(name)
+        else:
+            delays[name] = Delay(stated, stated, stated, 1.0)
+    if not sought:
+        return delays
+    if "wrench" not in sources:
+        fact = f"the delay of the {foreign.in_words(sought[0])} is auto, and there is no wrench"
+        raise TrialError(fact, "state the delay in seconds")
+    followers: tuple[foreign.Source, ...] = "pylon_pose", "clusters"
+    others = [name for name in followers if name in sources]
+    if "wrench" in sought:
+        others = [name for name in others if name not in sought]
+        if not others:
+            raise TrialError(
+                "the delay of the wrench is auto, and no other source with a stated delay moves"
+                " with the load",
+                "state that of the pylon pose or of the clusters, or that of the wrench",
+            )
+        found = _delay_behind_load(others[0], sources)
+        delays["wrench"] = found.reversed.later(delays[others[0]].delay)
+        notify(f"delay of the wrench behind the {foreign.in_words(others[0])}: {found.reversed}")
+    for name in sought:
+        if name == "wrench":
+            continue
+        of: foreign.Source = "clusters" if name == "clusters" else "pylon_pose"
+        if of not in sources:
+            fact = "the delay of the socket pose is auto, and there is no pose of the pylon"
+            raise TrialError(fact, "state the delay in seconds")
+        found = _delay_behind_load(of, sources)
+        delays[name] = found.later(delays["wrench"].delay)
+        notify(f"delay of the {foreign.in_words(name)} behind the wrench: {found}")
+    return delays
+
+
+def _delay_behind_load(
+    name: foreign.Source, sources: Mapping[foreign.Source, foreign.ForeignSource]
+) -> Delay:
+    """Delay of the pylon's pose or the clusters behind the wrench, by their stamps."""
+    load, own = sources["wrench"].series, sources[name].series
+    socket = sources["socket_pose"].series if "socket_pose" in sources else None
+    assert isinstance(load, WrenchSeries) and not isinstance(own, WrenchSeries)
+    if isinstance(own, ClusterSeries):
+        return find_delay(load, own)
+    assert socket is None or isinstance(socket, PoseSeries)
+    return find_delay(load, own, socket)
+
+
+def _mapping(
+    file: Path | None,
+    given: Mapping[str, str | None],
+    numbers: Mapping[str, Mapping[str, float | str]],
+    names: Sequence[str],
+    wrench_of: WrenchOf | None,
+) -> imported.SourceMapping:
+    """The mapping of a file, with what the options state."""
+    chosen = (
+        imported.SourceMapping() if file is None else read_document(file, imported.SourceMapping)
+    )
+    for name in foreign.SOURCES:
+        changes: dict[str, Any] = {}
+        if given[name] is not None:
+            changes["topic"] = given[name]
+        changes |= {field: own[name] for field, own in numbers.items() if name in own}
+        if name == "clusters" and names:
+            changes["names"] = tuple(names)
+        if name == "wrench" and wrench_of is not None:
+            known = get_args(WrenchOf)
+            if wrench_of not in known:
+                raise ConfigurationError(f"wrench_of is '{wrench_of}'", closest(wrench_of, known))
+            changes["of"] = wrench_of
+        own = msgspec.structs.replace(getattr(chosen, name), **changes)
+        own.settings(0.0)  # refuses a method or window that is wrong
+        chosen = msgspec.structs.replace(chosen, **{name: own})
+    return chosen
+
+
+def _with_triggers(
+    chosen: imported.SourceMapping, rate: float | None, trigger: str | None
+) -> imported.SourceMapping:
+    """The mapping with the triggers of the options, which replace those of the file."""
+    if rate is not None and trigger is not None:
+        raise ConfigurationError("rate and trigger are both given", "give one of them")
+    if rate is not None:
+        check_number(rate, "--rate", 0.1, 1000.0)
+        return msgspec.structs.replace(chosen, rate=rate, trigger=None)
+    if trigger is not None:
+        return msgspec.structs.replace(chosen, rate=None, trigger=trigger)
+    if chosen.rate is not None and chosen.trigger is not None:
+        raise ConfigurationError("the mapping has both rate and trigger", "give one of them")
+    if chosen.rate is None and chosen.trigger is None:
+        return msgspec.structs.replace(chosen, rate=TriggerSettings.rate)
+    return chosen
+
+
+def _by_source(
+    given: Iterable[str] | Mapping[str, Any],
+    what: str,
+    ends: tuple[float, float],
+    word: str = "",
+) -> dict[str, float | str]:
+    """Numbers by source, of texts such as `wrench=0.02` or a mapping; a known word stays."""
+    form = f"a source and a number, such as wrench={ends[1] / 500:g}"
+    form += f", or wrench={word}" if word else ""
+    found: dict[str, float | str] = {}
+    for name, value in _pairs(given, what, form).items():
+        if name not in foreign.SOURCES:
+            raise ConfigurationError(f"{what} names '{name}'", closest(name, foreign.SOURCES))
+        if word and value == word:
+            found[name] = word
+            continue
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            fact = f"the {what} of {name} is '{value}'"
+            raise ConfigurationError(fact, f"give {form}") from None
+        found[name] = check_number(number, f"the {what} of {name}", *ends)
+    return found
+
+
+def _pairs(given: Iterable[str] | Mapping[str, Any], what: str, form: str) -> dict[str, Any]:
+    """Values by name, of texts such as `name=value` or a mapping."""
+    if isinstance(given, Mapping):
+        return {**given}
+    texts = [given] if isinstance(given, str) else [*given]
+    if wrong := [text for text in texts if "=" not in str(text)]:
+        raise ConfigurationError(f"{what} is '{wrong[0]}'", f"give {form}")
+    return {name.strip(): value.strip() for name, _, value in (t.partition("=") for t in texts)}
+
+
+def _in_words(name: str, own: foreign.ForeignSource) -> str:
+    times = own.series.times
+    rate = f" at {1e9 * (len(times) - 1) / np.ptp(times):.3g} Hz" if len(times) > 1 else ""
+    frame = getattr(own.series, "frame", "")
+    return (
+        f"{foreign.in_words(name)}: {own.topic} ({own.type}, {len(times)} readings{rate}"
+        f"{f', frame {frame}' if frame else ''})"
+    )
+
+
+def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[str, Any]:
+    if chosen.trigger is not None:
+        return {"topic": chosen.trigger, "number": len(triggers)}
+    return {"rate": chosen.rate, "number": len(triggers)}
+
+
+def _refuse_nothing(
+    aligned: Mapping[foreign.Source, Aligned],
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    triggers: IntArray,
+) -> None:
+    """Refuse a source that has a value at no trigger."""
+    for name, own in aligned.items():
+        if (own.status != Status.OK).all():
+            times = sources[name].series.times
+            start, end = (times[[0, -1]] - triggers[0]) * 1e-9
+            raise TrialError(
+                f"{sources[name].topic}: no trigger has readings of the {foreign.in_words(name)}"
+                f" around it (they last from {start:.3g} to {end:.3g} s after the first trigger)",
+                "check its clock and delay, or set its stale in a mapping.yaml",
+            )
+
+
+def _no_load(
+    source: foreign.ForeignSource, tare: str, triggers: IntArray, delay: Delay
+) -> FloatArray:
+    """Mean wrench [M; F] in a span without load, in the frame of the messages, shape (6,)."""
+    assert isinstance(source.series, WrenchSeries)
+    start, end = parse_span(tare, "--tare")
+    since = (source.series.times - triggers[0]) * 1e-9 - delay.delay
+    inside = source.series.values[within(since, start, end)]
+    inside = inside[np.isfinite(inside).all(axis=1)]
+    if not len(inside):
+        raise TrialError(
+            f"{source.topic} has no reading in the span {tare} s of the tare",
+            f"give a span between {since[0]:.3g} and {since[-1]:.3g} s",
+        )
+    return np.asarray(inside.mean(axis=0))
+
+
+def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str:
+    """A note if the largest loads pull the limb out of the socket; empty if they push it in."""
+    along = values[:, 3:] @ proximal_direction(socket)
+    along = along[np.isfinite(along)]
+    if not len(along) or np.abs(along).max() < _CLEAR_LOAD:
+        return ""
+    heavy = along[np.abs(along) > 0.5 * np.abs(along).max()]
+    if np.median(heavy) < 0.0:
+        return ""
+    other = "socket" if of == "limb" else "limb"
+    return (
+        f"the load pulls the limb out of the socket ({np.median(heavy):+.0f} N towards the brim):"
+        f" if it is a person's, give --wrench-of {other}, or state the pose of the load cell"
+    )
+
+
+def _cluster_values(
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    aligned: Mapping[foreign.Source, Aligned],
+    calibration: Calibration,
+    triggers: IntArray,
+    notify: Callable[[str], None],
+) -> tuple[Sequence[str], FloatArray, StatusArray]:
+    """Names of the clusters, capacitances (N, C, 4) [pF], and their statuses."""
+    if "clusters" not in sources:
+        nothing = np.empty((len(triggers), 0, 4))
+        return (), nothing, nothing.astype(np.uint8)
+    series = sources["clusters"].series
+    assert isinstance(series, ClusterSeries)
+    values = aligned["clusters"].values
+    calibration.require(series.clusters, f"the topic {sources['clusters'].topic}")
+    if series.are_stresses:
+        from socket_testbed.simulation.sensors import invert_calibration
+
+        stress, shape = values, (*values.shape[:2], 4)
+        values = np.full(shape, np.nan)
+        for column, name in enumerate(series.clusters):
+            known = np.isfinite(stress[:, column]).all(axis=1)
+            own = calibration.clusters[name]
+            values[known, column] = invert_calibration(own, stress[known, column])
+        notify(
+            "the stresses are stored as the capacitances that the calibration turns back into them:"
+            " do not replace it"
+        )
+    status = np.where(np.isfinite(values), Status.OK, Status.MISSING).astype(np.uint8)
+    return series.clusters, values, status

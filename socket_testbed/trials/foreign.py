@@ -1,0 +1,443 @@
+"""Measurements of other laboratories' topics, read from a bag as series with their own times."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from socket_testbed.alignment.align import Series
+from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
+from socket_testbed.alignment.source_clock import source_clock
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import TrialError, closest, listed, option_of
+from socket_testbed.trials.bag import BagReader, RawMessage
+from socket_testbed.wire import cdr, topics
+
+Source: TypeAlias = Literal["wrench", "socket_pose", "pylon_pose", "clusters"]
+SOURCES: tuple[Source, ...] = get_args(Source)
+NONE = "none"  # a source that is left out on purpose
+TRANSFORM = "tf:"  # begins a source that is a transform, such as tf:world/socket
+
+_WRENCHES = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+)
+_NUMBERS, _NAMED = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
+_CLUSTERS = (topics.CAPACITANCE.type, topics.STRESS.type, _NUMBERS, _NAMED)
+KINDS: dict[Source, tuple[str, ...]] = {
+    "wrench": _WRENCHES,
+    "socket_pose": _POSES,
+    "pylon_pose": _POSES,
+    "clusters": _CLUSTERS,
+}
+WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics and bodies
+    "socket_pose": ("socket",),
+    "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
+    "clusters": ("cluster", "capacit"),
+}
+LACKING: dict[Source, str] = {  # what a trial cannot do without the source
+    "wrench": "no wrench: no load or plateau is known, so give --segment all; a fit needs the load"
+    " cell's Wrench or WrenchStamped",
+    "socket_pose": "no pose of the socket: a fit and the report need the poses of socket and pylon",
+    "pylon_pose": "no pose of the pylon: a fit and the report need the poses of socket and pylon",
+    "clusters": "no clusters: the map of pressure comes from the wrench alone, unvalidated; it"
+    " needs their capacitances or stresses",
+}
+_CHANNEL = re.compile(r"(?P<cluster>.+?)[._/: -]?(?P<channel>[0-3])")
+_MAX_LAYOUTS = 200
+_MAX_LISTED = 4
+
+
+@dataclass(frozen=True)
+class ForeignSource:
+    """What a topic measured, on the clock of the recording.
+
+    Attributes:
+        topic: Its name, or `tf:PARENT/CHILD`.
+        type: Its message type, as `package/msg/Type`.
+        series: The measurements.
+        notes: What was assumed or left out, one line each.
+    """
+
+    topic: str
+    type: str
+    series: Series
+    notes: tuple[str, ...]
+
+
+def propose(bag: BagReader, chosen: Mapping[Source, str]) -> dict[Source, str]:
+    """The topic of each source: those chosen, and for others what the types and names suggest.
+
+    Args:
+        bag: The open bag.
+        chosen: Topics by source; `none` for a source that is left out.
+
+    Returns:
+        Topics by source; sources that the bag lacks are left out.
+
+    Raises:
+        TrialError: If a chosen topic is not there or has another type, several topics suit, or
+            none is there for any source.
+    """
+    held = {name: kind for name, kind in bag.types.items() if bag.counts.get(name)}
+    found: dict[Source, str] = {}
+    for source, name in chosen.items():
+        if name != NONE:
+            _check_topic(bag, source, name)
+            found[source] = name
+    taken = {*found.values()}
+    for source in SOURCES:
+        if source in chosen:
+            continue
+        suited = [
+            name
+            for name, kind in held.items()
+            if kind in KINDS[source] and name not in taken and not _is_computed(name)
+        ]
+        if source != "wrench":
+            suited = _named(source, suited, held)
+        if len(suited) > 1:
+            raise TrialError(
+                f"{bag.path}: {listed(sorted(suited), _MAX_LISTED)} may each be the"
+                f" {in_words(source)}",
+                f"choose with {option_of(source)} TOPIC, or leave it out with"
+                f" {option_of(source)} none",
+            )
+        if suited:
+            found[source] = suited[0]
+    _refuse_unclear_poses(bag, held, found, chosen)
+    if not found:
+        kinds = listed(sorted({*held.values()}), _MAX_LISTED)
+        raise TrialError(
+            f"{bag.path}: no topic is a wrench, a pose or clusters (there are: {kinds or 'none'})",
+            "name topics with --wrench, --socket-pose, --pylon-pose, --clusters",
+        )
+    return found
+
+
+def in_words(source: str) -> str:
+    """A source's name in a text, such as `pylon pose`."""
+    return source.replace("_", " ")
+
+
+def _is_computed(name: str) -> bool:
+    return any(topic.computed and name.endswith(f"/{topic.name}") for topic in topics.TOPICS)
+
+
+def _named(source: Source, suited: Sequence[str], held: Mapping[str, str]) -> list[str]:
+    """Those of some topics whose names say the source; clusters of our own types in any case."""
+    own = [name for name in suited if held[name] in _CLUSTERS[:2]]
+    if own:
+        capacitances = [name for name in own if held[name] == topics.CAPACITANCE.type]
+        return capacitances or own
+    return [name for name in suited if any(word in name.lower() for word in WORDS[source])]
+
+
+def _refuse_unclear_poses(
+    bag: BagReader,
+    held: Mapping[str, str],
+    found: Mapping[Source, str],
+    chosen: Mapping[Source, str],
+) -> None:
+    """Ask which pose is which where names do not tell it."""
+    left = sorted(
+        name for name, kind in held.items() if kind in _POSES and name not in found.values()
+    )
+    open_ones = [s for s in ("socket_pose", "pylon_pose") if s not in found and s not in chosen]
+    if left and open_ones:
+        options = " and ".join(f"{option_of(source)} TOPIC" for source in open_ones)
+        raise TrialError(
+            f"{bag.path}: cannot tell whose pose {listed(left, _MAX_LISTED)} is",
+            f"state it with {options}, or none instead of a topic",
+        )
+
+
+def _check_topic(bag: BagReader, source: Source, name: str) -> None:
+    option = option_of(source)
+    if name.startswith(TRANSFORM):
+        if source not in ("socket_pose", "pylon_pose") or "/" not in name:
+            fact = f"{option} is '{name}'"
+            raise TrialError(fact, "give a topic, or for a pose tf:PARENT/CHILD")
+        if not _transform_topics(bag):
+            fact = f"{bag.path}: holds no {_TRANSFORMS}, for {option} {name}"
+            raise TrialError(fact, "record /tf, or name a topic with poses")
+        return
+    if not bag.counts.get(name):
+        known = [n for n, kind in bag.types.items() if kind in KINDS[source] and bag.counts.get(n)]
+        state = "holds no message" if name in bag.types else "is not in the bag"
+        raise TrialError(f"{bag.path}: the topic {name} of {option} {state}", closest(name, known))
+    if bag.types[name] not in KINDS[source]:
+        raise TrialError(
+            f"{bag.path}: {name} of {option} is a {bag.types[name]}",
+            f"name a topic of type {' or '.join(KINDS[source])}",
+        )
+
+
+def _transform_topics(bag: BagReader) -> list[str]:
+    return [n for n, kind in bag.types.items() if kind == _TRANSFORMS and bag.counts.get(n)]
+
+
+def read_messages(
+    bag: BagReader, names: Mapping[Source, str], trigger: str | None = None
+) -> dict[str, list[RawMessage]]:
+    """The messages of the sources' topics, and of a trigger, by full name of the topic.
+
+    Args:
+        bag: The open bag.
+        names: The topic of each source.
+        trigger: The topic of the triggers; None for none.
+    """
+    wanted = {name for name in names.values() if not name.startswith(TRANSFORM)}
+    if len(wanted) < len({*names.values()}):
+        wanted |= {*_transform_topics(bag)}
+    if trigger is not None:
+        wanted.add(trigger)
+    messages: dict[str, list[RawMessage]] = defaultdict(list)
+    for message in bag.messages(wanted):
+        messages[message.topic].append(message)
+    return dict(messages)
+
+
+def read_stamps(messages: Sequence[RawMessage]) -> IntArray:
+    """Times of messages, from their headers or, without one, of their arrival, (N,) [ns]."""
+    parts = [stamps for _, stamps, _, _ in _decoded(messages)]
+    return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
+
+
+def read_source(
+    source: Source,
+    name: str,
+    messages: Mapping[str, Sequence[RawMessage]],
+    clusters: Sequence[str] = (),
+) -> ForeignSource:
+    """What a source measured, ascending in time, on the clock of the recording.
+
+    Args:
+        source: Which one.
+        name: Its topic, or `tf:PARENT/CHILD`.
+        messages: The messages of the bag by topic, see `read_messages`.
+        clusters: Names of clusters for an array that has none, in its order, four values each.
+
+    Raises:
+        TrialError: If its messages cannot be read as such a source.
+    """
+    if name.startswith(TRANSFORM):
+        own = [
+            message
+            for received in messages.values()
+            for message in received
+            if message.type == _TRANSFORMS
+        ]
+    else:
+        own = [*messages.get(name, ())]
+    kind = own[0].type if own else ""
+    notes: list[str] = []
+    parts = list(_values(source, name, own, clusters, notes))
+    if not parts:
+        raise TrialError(f"{name}: holds no reading of the {in_words(source)}", "check the topic")
+    columns = {column for _, _, _, column in parts}
+    if len(columns) > 1:
+        shown = "; ".join(", ".join(part) for part in sorted(columns))
+        raise TrialError(f"{name}: its messages name different things ({shown})", "choose another")
+    frames_or_names = columns.pop()
+    stamps = np.concatenate([stamps for stamps, _, _, _ in parts])
+    arrivals = np.concatenate([arrivals for _, arrivals, _, _ in parts])
+    values = np.concatenate([values for _, _, values, _ in parts])
+    zero = stamps == 0
+    if zero.any() and not zero.all():
+        stamps, arrivals, values = stamps[~zero], arrivals[~zero], values[~zero]
+        notes.append(f"{name}: {int(zero.sum())} messages without a stamp are left out")
+    elif zero.all():
+        stamps = arrivals
+        notes.append(f"{name}: has no stamps, so the times of its arrival count")
+    elif (clock := source_clock(stamps, arrivals)).is_another:
+        stamps = clock.to_recording(stamps)
+        notes.append(f"{name}: its clock is not that of the recording ({clock}): corrected")
+    order = np.argsort(stamps, kind="stable")
+    stamps, values = stamps[order], values[order]
+    again = np.flatnonzero(np.diff(stamps) == 0)
+    if len(again):
+        stamps, values = np.delete(stamps, again), np.delete(values, again, axis=0)
+        notes.append(f"{name}: of {len(again)} readings with the stamp of the next the last counts")
+    series = _series(source, stamps, values, frames_or_names)
+    return ForeignSource(name, kind, series, tuple(notes))
+
+
+def _series(source: Source, times: IntArray, values: FloatArray, names: tuple[str, ...]) -> Series:
+    if source == "wrench":
+        return WrenchSeries(times, values, names[0])
+    if source == "clusters":
+        return ClusterSeries(times, names, values)
+    return PoseSeries(times, values[:, :3], values[:, 3:], names[0])
+
+
+_Part: TypeAlias = tuple[IntArray, IntArray, FloatArray, tuple[str, ...]]
+"""Stamps and arrivals [ns], values, and the frame or the names of the clusters."""
+
+
+def _decoded(
+    messages: Sequence[RawMessage], notes: list[str] | None = None
+) -> Iterator[tuple[IntArray, IntArray, cdr.Record, Any]]:
+    """Arrivals and stamps [ns], numbers and one sample of messages, each part of one layout.
+
+    Without a header the stamps are the arrivals.
+    """
+    if not messages:
+        return
+    kind, name = messages[0].type, messages[0].topic
+    arrivals = np.array([message.time for message in messages], dtype=np.int64)
+    left, refused = np.arange(len(messages)), 0
+    for _ in range(_MAX_LAYOUTS):
+        if not len(left):
+            break
+        first = messages[left[0]].data
+        try:
+            layout, sample = cdr.Layout(first, kind), cdr.decode(first, kind)
+        except Exception:  # the library may raise any exception
+            left, refused = left[1:], refused + 1
+            continue
+        records, fits = layout.records([messages[row].data for row in left.tolist()])
+        own = arrivals[left[fits]]
+        stamps = cdr.stamps_of(records) if "header" in (records.dtype.names or ()) else own
+        yield own, stamps, records, sample
+        left = left[~fits]
+    refused += len(left)
+    if refused and notes is not None:
+        notes.append(f"{name}: {refused} messages cannot be decoded, and are left out")
+
+
+def _values(
+    source: Source,
+    name: str,
+    messages: Sequence[RawMessage],
+    clusters: Sequence[str],
+    notes: list[str],
+) -> Iterator[_Part]:
+    """The values of messages of one kind, in parts."""
+    kind = messages[0].type if messages else ""
+    for arrivals, stamps, records, sample in _decoded(messages, notes):
+        if kind == _TRANSFORMS:
+            yield from _transforms(name, arrivals, records, sample)
+            continue
+        values, names = _READERS[kind](name, records, sample, clusters)
+        stamped = stamps if hasattr(sample, "header") else np.zeros_like(arrivals)
+        yield stamped, arrivals, values, names
+
+
+def _transforms(name: str, arrivals: IntArray, records: cdr.Record, sample: Any) -> Iterator[_Part]:
+    """The transforms of one parent and child."""
+    parent, _, child = name.removeprefix(TRANSFORM).strip("/").partition("/")
+    for number, own in enumerate(sample.transforms):
+        frames = own.header.frame_id.strip("/"), own.child_frame_id.strip("/")
+        if frames == (parent, child):
+            record = records["transforms"][str(number)]
+            values = _joined(record["transform"], "translation", "rotation")
+            yield cdr.stamps_of(record), arrivals, values, (parent,)
+
+
+def _joined(record: cdr.Record, *fields: str) -> FloatArray:
+    return np.concatenate([record[field] for field in fields], axis=-1).astype(np.float64)
+
+
+_Read: TypeAlias = Callable[
+    [str, cdr.Record, Any, Sequence[str]], tuple[FloatArray, tuple[str, ...]]
+]
+
+
+def _frame(sample: Any) -> tuple[str, ...]:
+    return (sample.header.frame_id,)
+
+
+def _capacitances(
+    name: str, records: cdr.Record, sample: Any, clusters: Sequence[str]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Capacitances (n, C, 4) [pF]; NaN where the status is not ok."""
+    own = cdr.elements(records, "clusters")
+    values = [np.where(part["status"] == 0, part["capacitance"], np.nan) for part in own]
+    return _stacked(name, values, sample)
+
+
+def _stresses(
+    name: str, records: cdr.Record, sample: Any, clusters: Sequence[str]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Stresses (n, C, 3) [Pa]."""
+    own = cdr.elements(records, "clusters")
+    fields = "normal", "shear_x", "shear_y"
+    values = [np.stack([part[field] for field in fields], axis=-1) for part in own]
+    return _stacked(name, values, sample)
+
+
+def _stacked(
+    name: str, values: list[FloatArray], sample: Any
+) -> tuple[FloatArray, tuple[str, ...]]:
+    if not values:
+        raise TrialError(f"{name}: names no cluster", "choose another topic")
+    return np.stack(values, axis=1).astype(np.float64), tuple(c.name for c in sample.clusters)
+
+
+def _numbers(
+    name: str, records: cdr.Record, sample: Any, clusters: Sequence[str]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Capacitances (n, C, 4) [pF] of an array without names."""
+    data = records["data"] if "data" in (records.dtype.names or ()) else np.empty((0, 0))
+    if not clusters or data.shape[-1] != 4 * len(clusters):
+        raise TrialError(
+            f"{name}: has {data.shape[-1]} values, and {len(clusters)} clusters are named",
+            "name the clusters in its order with --names, four values each",
+        )
+    return data.reshape(len(data), len(clusters), 4).astype(np.float64), tuple(clusters)
+
+
+def _named_values(
+    name: str, records: cdr.Record, sample: Any, clusters: Sequence[str]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Capacitances (n, C, 4) [pF] of values with names such as `distal.0`."""
+    places: dict[str, dict[int, int]] = {}
+    for column, own in enumerate(sample.name):
+        found = _CHANNEL.fullmatch(own)
+        if found is not None:
+            places.setdefault(found["cluster"], {})[int(found["channel"])] = column
+    if not places:
+        shown = listed(list(sample.name), _MAX_LISTED) or "none"
+        raise TrialError(f"{name}: no name is a channel ({shown})", "name them such as distal.0")
+    values = np.full((len(records), len(places), 4), np.nan)
+    for number, own in enumerate(places.values()):
+        for channel, column in own.items():
+            values[:, number, channel] = records["position"][:, column]
+    return values, tuple(places)
+
+
+_READERS: dict[str, _Read] = {
+    "geometry_msgs/msg/WrenchStamped": lambda name, records, sample, clusters: (
+        _joined(records["wrench"], "torque", "force"),
+        _frame(sample),
+    ),
+    "geometry_msgs/msg/Wrench": lambda name, records, sample, clusters: (
+        _joined(records, "torque", "force"),
+        ("",),
+    ),
+    "geometry_msgs/msg/PoseStamped": lambda name, records, sample, clusters: (
+        _joined(records["pose"], "position", "orientation"),
+        _frame(sample),
+    ),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda name, records, sample, clusters: (
+        _joined(records["pose"]["pose"], "position", "orientation"),
+        _frame(sample),
+    ),
+    "geometry_msgs/msg/TransformStamped": lambda name, records, sample, clusters: (
+        _joined(records["transform"], "translation", "rotation"),
+        _frame(sample),
+    ),
+    topics.CAPACITANCE.type: _capacitances,
+    topics.STRESS.type: _stresses,
+    _NUMBERS: _numbers,
+    _NAMED: _named_values,
+}
