@@ -325,7 +325,7 @@ def test_a_load_that_pulls_is_doubted(tmp_path: Path, up: bool, doubted: bool) -
 
 
 TWO = {FT: stamped_wrench(), "/ft/filtered": stamped_wrench()}
-REFUSED = {
+REFUSED: dict[str, tuple[Any, ...]] = {
     "two wrenches": (TWO, {}, TrialError, ("/ft/filtered, /ft/wrench", "--wrench TOPIC")),
     "whose pose": (
         {FT: stamped_wrench(), "/body_1": stamped_pose()},
