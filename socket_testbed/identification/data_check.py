@@ -28,8 +28,12 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly, finite_quantile
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification import plausibility, validation
-from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap
+from socket_testbed.identification import plausibility
+from socket_testbed.identification.force_map import (
+    NORMAL_QUANTILE,
+    ForceMap,
+    left_out_pressures,
+)
 from socket_testbed.identification.limb_motion import (
     AXES,
     NEGATED,
@@ -37,7 +41,7 @@ from socket_testbed.identification.limb_motion import (
     LimbMotion,
     limb_motion,
 )
-from socket_testbed.identification.noise import channel_noise, deviations
+from socket_testbed.identification.noise import channel_noise, deviations, measurement_errors
 from socket_testbed.samples import (
     GRAVITY,
     GROUPS,
@@ -656,10 +660,10 @@ def _disagreements(
         return
     compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]
     prior = ForceMapSettings()  # the data is judged alike, whatever the trial's settings
-    noise = validation.measurement_errors(samples, channel_noise(samples).local_forces, prior)
+    noise = measurement_errors(samples, channel_noise(samples).local_forces, prior)
     force_map = None if prior_map is None else prior_map(prior)
     worst = (MAX_INNOVATION, "", "")
-    pressures = validation.left_out_pressures(compared, geometry, force_map)
+    pressures = left_out_pressures(compared, geometry, force_map)
     for error, (name, measured, expected, deviation) in zip(noise, pressures, strict=True):
         if np.isfinite(measured).any():
             own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
