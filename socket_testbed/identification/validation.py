@@ -33,8 +33,8 @@ from socket_testbed.identification.noise import (
     smooth_poses,
 )
 from socket_testbed.identification.problem import MIN_SAMPLES
-from socket_testbed.identification.wrench import REGRESSION, regress_wrench, relative_pose
-from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels
+from socket_testbed.identification.wrench import REGRESSION, regress_wrench
+from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels, relative_pose
 from socket_testbed.settings.identification import (
     VARIANTS,
     ForceMapSettings,
