@@ -672,7 +672,8 @@ class BagWriter:
         except FileExistsError:
             raise TrialError(f"{self.path}: exists already", "name a new folder") from None
         self._file = self._recording.open("xb")
-        self._writer = Writer(self._file, _CHUNK_SIZE, CompressionType.NONE)
+        # Any: the library leaves some of its methods untyped.
+        self._writer: Any = Writer(self._file, _CHUNK_SIZE, CompressionType.NONE)
         self._writer.start("ros2", f"socket_testbed {__version__}")
         self._lock = hold(self.path)
         with suppress(OSError):  # unsupported on network drives
