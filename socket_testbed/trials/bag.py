@@ -23,7 +23,7 @@ from backports import zstd
 from mcap.writer import CompressionType, Writer
 
 from socket_testbed.documents import dump_yaml
-from socket_testbed.errors import TrialError, listed
+from socket_testbed.errors import ConfigurationError, TrialError, listed
 from socket_testbed.files import TemporaryFolder, disk_hint, hold, sync
 from socket_testbed.trials.bag_parts import (
     BAG_METADATA,
@@ -670,7 +670,8 @@ class BagWriter:
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:
-            raise TrialError(f"{self.path}: exists already", "name a new folder") from None
+            fact = f"{self.path} exists already: another process made it meanwhile"
+            raise ConfigurationError(fact, "name another folder") from None
         self._file = self._recording.open("xb")
         # Any: the library leaves some of its methods untyped.
         self._writer: Any = Writer(self._file, _CHUNK_SIZE, CompressionType.NONE)

@@ -14,7 +14,7 @@ from support import scene
 from support.wording import refused
 
 from socket_testbed.documents import load_yaml
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.trial import Trial, read_configuration, store_configuration
@@ -75,7 +75,7 @@ def test_other_programs_read_a_bag(tmp_path: Path) -> None:
 
 
 def test_a_bag_never_writes_into_a_folder_that_exists(tmp_path: Path) -> None:
-    with refused(TrialError, "a: exists already", "name a new folder"):
+    with refused(ConfigurationError, "a exists already: another process", "name another folder"):
         write(write(tmp_path / "a", 0.0))
     with BagReader(tmp_path / "a") as found:
         assert found.counts["/lab/trigger"] == 1
