@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, closest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,6 +75,23 @@ def named_channels(names: object, clusters: Collection[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(chain.from_iterable(found)))
 
 
+def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
+    """Check that every name is a channel.
+
+    Args:
+        leave_out: Names to check, such as `Mz` or `distal.Fx`.
+        names: Names of all channels.
+
+    Raises:
+        ConfigurationError: If a name is not one of them.
+    """
+    for name in leave_out:
+        if name not in names:
+            own = [channel for channel in names if channel.startswith(f"{name}.")]
+            hint = f"give {' '.join(own)}" if own else closest(name, names)
+            raise ConfigurationError(f"leave_out: no channel '{name}'", hint)
+
+
 def channel_unit(name: str) -> str:
     """Unit of a channel from its name, such as `Mx` or `distal.Fz`: `N m` or `N`."""
     return "N m" if name.rpartition(".")[2].startswith("M") else "N"
@@ -130,6 +147,22 @@ def turned(rotation: FloatArray, by: FloatArray) -> FloatArray:
         product = Rotation.from_rotvec(rotation[known]) * Rotation.from_rotvec(by)
         found[known] = product.as_rotvec()
     return found
+
+
+def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
+    """Displacement and rotation vector since a reference pose, both in {S}.
+
+    Args:
+        pose: Positions q and rotation vectors of the limb in {S}, shape (N, 6) [m, rad].
+        reference: Reference position c and rotation vector in {S}, shape (6,) [m, rad].
+
+    Returns:
+        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN in rows where any
+        component of the pose is NaN.
+    """
+    relative = np.hstack([pose[:, :3] - reference[:3], turned(pose[:, 3:], -reference[3:])])
+    relative[~np.isfinite(relative).all(axis=1)] = np.nan
+    return relative
 
 
 @dataclass(frozen=True)

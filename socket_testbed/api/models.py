@@ -183,24 +183,28 @@ def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
         return stored.predictions(samples)
 
 
-def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
+def predict(
+    trial: Trial | PathLike, model: Model, segment: str | Span | Segment = "all"
+) -> pd.DataFrame:
     """Predict every channel of a trial from its limb poses.
 
-    Poses are averaged over the same window as in the model's fit, if any.
+    Poses are averaged over the same window as in the model's fit, if any. The whole trial is
+    predicted, whatever part of it is returned, so that a model with memory knows the past.
 
     Args:
         trial: The trial.
         model: A fit, a model that `read_model` read, or the path of its file.
+        segment: As in `fit`; the part of the trial whose predictions are returned.
 
     Returns:
-        A row per sample, indexed by `time [s]` since the first sample. Columns: the wrench in {S},
-        such as `Mx [N m]` and `Fz [N]`, and the force on each cluster in the frame {L} of its tile,
-        such as `distal.Fx [N]`; titles and index are those of `trial.samples().to_dataframe()`. NaN
-        where the limb pose is missing or an outlier.
+        A row per sample of the segment, indexed by `time [s]` since the trial's first sample.
+        Columns: the wrench in {S}, such as `Mx [N m]` and `Fz [N]`, and the force on each cluster
+        in the frame {L} of its tile, such as `distal.Fx [N]`; titles and index are those of
+        `trial.samples().to_dataframe()`. NaN where the limb pose is missing or an outlier.
 
     Raises:
         ConfigurationError: The model's file is wrong, or the model is of another socket.
-        TrialError: The trial cannot be read.
+        TrialError: The trial cannot be read or has no such segment.
         IdentificationError: The limb poses are in another unit or frame.
 
     >>> trial = st.open_trial("trials/hold")
@@ -210,8 +214,17 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     True
     """
     trial = as_trial(trial)
-    samples, values = trial.samples(), predictions(trial, model_for(trial, model))
-    return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), samples.titles)
+    stored = model_for(trial, model)
+    chosen = _select(trial, stored, segment)
+    samples, values = trial.samples(), predictions(trial, stored)
+    table = pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), samples.titles)
+    return table.iloc[chosen.rows]
+
+
+def _select(trial: Trial, stored: FittedModel, segment: str | Span | Segment) -> Segment:
+    """A segment of a trial that ignores the channels which the model's fit left out."""
+    settings = dataclasses.replace(trial.estimator, identification=stored.settings)
+    return trial.select(segment, settings)
 
 
 def evaluate(
@@ -252,8 +265,7 @@ def evaluate(
     if pose_smoothing is not None:
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
         stored = dataclasses.replace(stored, settings=changed)
-    settings = dataclasses.replace(trial.estimator, identification=stored.settings)
-    chosen = trial.select(segment, settings)
+    chosen = _select(trial, stored, segment)
     found = judge(trial, stored, chosen)
     note_problems(trial, stored.settings.leave_out)
     if bool(trial.unloaded) != bool(stored.unloaded):

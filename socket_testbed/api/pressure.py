@@ -11,9 +11,9 @@ from socket_testbed.api.trials import as_trial, settings_of
 from socket_testbed.documents import check_number, mapping_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.pressure import check_measured
-from socket_testbed.identification.problem import check_channels
 from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
+from socket_testbed.samples import check_channels
 from socket_testbed.settings.options import PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span

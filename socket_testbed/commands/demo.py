@@ -23,7 +23,7 @@ from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions, place_of
 from socket_testbed.identification import validation
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.force_map import NORMAL_QUANTILE, left_out_pressures
 from socket_testbed.identification.wrench import REGRESSION
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
@@ -224,7 +224,7 @@ class _Conclusion:
             1e-3 * np.nanmean(values, axis=0) for values in (*live[:, rows], pressed)
         )
         self._error, self._reach = self._estimate - self._truth, NORMAL_QUANTILE * deviation
-        left_out = [*validation.left_out_pressures(self._hold, self._geometry)]
+        left_out = [*left_out_pressures(self._hold, self._geometry)]
         self._names = [name for name, *_ in left_out]
         # By cluster: measured pressure, the map's without it, and half-width of its interval.
         self._left_out = 1e-3 * np.nanmean([values for _, *values in left_out], axis=-1)

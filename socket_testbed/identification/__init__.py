@@ -9,10 +9,20 @@ figures. `model_file` reads and writes models.
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
 it from the clusters and the wrench; `pressure` evaluates regions of it.
 
-**How far can all this be trusted?** Validation. Samples: `checked` is the gate that judges them
-once for everything else, by three rule books: `data_check` points out what to look at,
-`plausibility` checks magnitude and sign, `noise` estimates the noise. Models: `information` shows
-what the trial determines. All estimates: `validation` tests them on unseen data, next to simple
-baselines. `suspension` measures the stiffness between limb and socket without a model,
-`differences` compares trials.
+**How far can all this be trusted?** Whether a value is believable has one home, `checked`, the
+gate that judges samples once for everything else. It has three rule books:
+
+- `plausibility`: single values and whole channels against what a person, a socket or a wall can do:
+  units, outliers, signs, a wrench without load.
+- `data_check`: whole sources against each other and over time: reversed, late, exchanged, frozen,
+  clipped, noisy, jumping. It also brings the findings of `trials.raw_check`, which judges readings
+  that no longer show in samples: raw capacitances, ratios of bridges, markers.
+- `noise`: how large the noise of a channel and the error of a measurement are. It refuses nothing.
+
+Whether a model is believable is another question: `information` shows what the trial's motion
+determines, and `validation` tests estimates on unseen data, next to simple baselines. Neither
+judges a sample. `trials.segment` selects a steady part of sound samples, and judges none either.
+
+`suspension` measures the stiffness between limb and socket without a model, `differences` compares
+trials.
 """

@@ -100,6 +100,7 @@ class CheckedSamples:
             known.raw,
             self.outliers,
             self.prior_map,
+            self.noise,
         )
 
     def part(self, rows: slice | BoolArray = slice(None)) -> Samples:

@@ -25,7 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.wrench import PoseTrail, WrenchModel, relative_pose
+from socket_testbed.identification.wrench import PoseTrail, WrenchModel
+from socket_testbed.samples import relative_pose
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
 _CHUNK = 4096  # samples; a prediction's memory grows with samples times tiles

@@ -28,8 +28,12 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly, finite_quantile
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification import plausibility, validation
-from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap
+from socket_testbed.identification import plausibility
+from socket_testbed.identification.force_map import (
+    NORMAL_QUANTILE,
+    ForceMap,
+    left_out_pressures,
+)
 from socket_testbed.identification.limb_motion import (
     AXES,
     NEGATED,
@@ -38,7 +42,12 @@ from socket_testbed.identification.limb_motion import (
     limb_motion,
     misfit_of,
 )
-from socket_testbed.identification.noise import channel_noise, deviations
+from socket_testbed.identification.noise import (
+    ChannelNoise,
+    channel_noise,
+    deviations,
+    measurement_errors,
+)
 from socket_testbed.samples import (
     GRAVITY,
     GROUPS,
@@ -134,6 +143,7 @@ def check_data(
     raw: tuple[DataFinding, ...] = (),
     outliers: plausibility.Outliers | None = None,
     prior_map: Callable[[ForceMapSettings], ForceMap] | None = None,
+    noise: ChannelNoise | None = None,
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
@@ -149,6 +159,7 @@ def check_data(
         outliers: Outliers of the samples outside the left-out channels; None to find them here.
         prior_map: Returns the force map of the samples' clusters for settings of its prior; None
             to make it here.
+        noise: Noise of the samples without their outliers; None to estimate it here.
     """
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
@@ -165,14 +176,19 @@ def check_data(
     if POSE in unclear:
         nothing = np.full_like(samples.position, np.nan)
         counted = replace(counted, position=nothing, rotation=nothing)
+    if noise is None or unclear:
+        noise = channel_noise(counted)
     if whole:
         in_doubt = LOAD in unclear
-        courses = [*_time_series(_without_faulty_pose(counted, raw), geometry, in_doubt)]
-        found += courses or ([] if in_doubt else [*_disagreements(counted, geometry, prior_map)])
+        posed = _without_faulty_pose(counted, raw)
+        found_over_time = [*_time_series(posed, geometry, noise, in_doubt)]
+        found += found_over_time
+        if not found_over_time and not in_doubt:
+            found += _disagreements(counted, geometry, noise, prior_map)
     stopped = {each.source for each in raw if STILL in each.fact}
     found += [
         each
-        for each in _channels(samples, leave_out)
+        for each in _channels(samples, noise, leave_out)
         if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
     ]
     found += [*_jumps(counted), *_spikes(counted)]
@@ -282,11 +298,13 @@ class _Courses:
         samples: The samples, without outliers and left-out channels, with rotations since the mean
             attitude.
         geometry: The socket.
+        noise: Noise of the samples.
         load_in_doubt: Whether the size of the load is reported already.
     """
 
     samples: Samples
     geometry: SocketGeometry
+    noise: ChannelNoise
     load_in_doubt: bool = False
 
     @cached_property
@@ -624,7 +642,7 @@ def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
     if not courses.are_simultaneous:
         return
     follows = courses.sense * courses.follows
-    noises = channel_noise(courses.samples).local_forces[:, 2]
+    noises = courses.noise.local_forces[:, 2]
     sources = zip(courses.samples.clusters, follows, courses.pressing.T, noises, strict=True)
     for column, (name, value, force, noise) in enumerate(sources):
         if (
@@ -666,16 +684,17 @@ _RULES_OF_COURSES = (
 
 
 def _time_series(
-    samples: Samples, geometry: SocketGeometry, load_in_doubt: bool = False
+    samples: Samples, geometry: SocketGeometry, noise: ChannelNoise, load_in_doubt: bool = False
 ) -> Iterator[DataFinding]:
     """Sizes, signs and lags, and whether each source follows the load."""
-    courses = _Courses(samples, geometry, load_in_doubt)
+    courses = _Courses(samples, geometry, noise, load_in_doubt)
     return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 
 def _disagreements(
     samples: Samples,
     geometry: SocketGeometry,
+    noise: ChannelNoise,
     prior_map: Callable[[ForceMapSettings], ForceMap] | None = None,
 ) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
@@ -684,11 +703,11 @@ def _disagreements(
         return
     compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]
     prior = ForceMapSettings()  # the data is judged alike, whatever the trial's settings
-    noise = validation.measurement_errors(samples, channel_noise(samples).local_forces, prior)
+    errors = measurement_errors(samples, noise.local_forces, prior)
     force_map = None if prior_map is None else prior_map(prior)
     worst = (MAX_INNOVATION, "", "")
-    pressures = validation.left_out_pressures(compared, geometry, force_map)
-    for error, (name, measured, expected, deviation) in zip(noise, pressures, strict=True):
+    pressures = left_out_pressures(compared, geometry, force_map)
+    for error, (name, measured, expected, deviation) in zip(errors, pressures, strict=True):
         if np.isfinite(measured).any():
             own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
             scale = np.hypot(deviation, own)
@@ -703,7 +722,9 @@ def _disagreements(
         yield DataFinding(name, fact, hint)
 
 
-def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFinding]:
+def _channels(
+    samples: Samples, noise: ChannelNoise, leave_out: tuple[str, ...]
+) -> Iterator[DataFinding]:
     """Sources and channels that are missing, frozen, clipped or noisy."""
     period, counts = usual_period(samples.time), samples.counted(leave_out)
     measured = np.isfinite(samples.wrench[:, counts[:6]])
@@ -738,8 +759,8 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
             "the limb pose", "it stands still", "check the cameras and the bodies' names"
         )
     values = samples.trusted_values
-    noises = channel_noise(samples).values.tolist()
-    for name, column, noise in zip(samples.channels, values.T, noises, strict=True):
+    noises = noise.values.tolist()
+    for name, column, own_noise in zip(samples.channels, values.T, noises, strict=True):
         known = column[np.isfinite(column)]
         if len(known) < LEAST_CHECKED or name in leave_out:
             continue
@@ -751,8 +772,8 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         elif at_end > MAX_CLIPPED:
             fact = f"{100.0 * at_end:.0f} % of its values are at one end, {end:.3g} {unit}"
             hint = "check the sensor's range: it is clipped"
-        elif noise > MAX_NOISE[unit]:
-            fact = f"its noise is {noise:.3g} {unit}"
+        elif own_noise > MAX_NOISE[unit]:
+            fact = f"its noise is {own_noise:.3g} {unit}"
             hint = "check shields, connectors and the supply"
         else:
             continue

@@ -16,11 +16,7 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.problem import (
-    Problem,
-    build_objective,
-    check_channels,
-)
+from socket_testbed.identification.problem import Problem, build_objective
 from socket_testbed.identification.solver import (
     BoxQP,
     BoxSolution,
@@ -30,7 +26,13 @@ from socket_testbed.identification.solver import (
     solve_cold,
 )
 from socket_testbed.identification.wrench import fit_wrench
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_names, channel_unit
+from socket_testbed.samples import (
+    WRENCH_CHANNELS,
+    Samples,
+    channel_names,
+    channel_unit,
+    check_channels,
+)
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
 from socket_testbed.tables import number, split_unit
 

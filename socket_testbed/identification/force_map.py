@@ -42,7 +42,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, local_channels
 from socket_testbed.settings.identification import MIN_SHARE, ForceMapSettings
 
 if TYPE_CHECKING:
@@ -496,6 +496,31 @@ class ForceMap:
         names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
         parts = dict.fromkeys(names[present.any(axis=0)])
         return f"prior: mean zero; measured: {', '.join(parts) or 'nothing'}"
+
+
+def left_out_pressures(
+    samples: Samples, geometry: SocketGeometry, force_map: ForceMap | None = None
+) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
+    """Measured and expected pressure of each cluster.
+
+    Expected is what the force map of the other clusters and the wrench says.
+
+    Args:
+        samples: N samples.
+        geometry: The socket, which has the clusters of the samples.
+        force_map: The map of these clusters; None for one with the default prior.
+
+    Yields:
+        Name of a cluster, its measured normal pressure (NaN unless trusted), the expected one and
+        its standard deviation, shape (N,) each [Pa]; pressures are positive in compression.
+    """
+    force_map = force_map or ForceMap(geometry, samples.clusters)
+    for column, name in enumerate(samples.clusters):
+        tile = geometry.clusters[name]
+        measured = geometry.cluster_stress(name, samples.trusted_forces[:, column])[:, 0]
+        others = force_map.estimate(samples.without(local_channels(name)))
+        deviation = others.normal_pressure_standard_deviation[:, tile]
+        yield name, measured, others.normal_pressure[:, tile], deviation
 
 
 def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:

@@ -29,8 +29,7 @@ from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.noise import channel_noise, smooth_poses, smoothing_gain
-from socket_testbed.identification.wrench import relative_pose
-from socket_testbed.samples import FORCES, MOMENTS, Samples
+from socket_testbed.samples import FORCES, MOMENTS, Samples, relative_pose
 
 MIN_SPRING_SHARE = 0.5  # [-]; of the load, carried by the springs
 MIN_RATIO = 3.0  # [-]; of motion to noise: noise then lowers a stiffness by a tenth

@@ -22,8 +22,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from socket_testbed.arrays import TOLERANCE, BoolArray, FloatArray, IntArray, gaps, robust_deviation
+from socket_testbed.arrays import (
+    TOLERANCE,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    gaps,
+    rms,
+    robust_deviation,
+)
 from socket_testbed.samples import Samples, turned
+from socket_testbed.settings.identification import ForceMapSettings
 
 MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
 CUT = 3.0  # [-]; largest magnitude of a difference, in standard deviations
@@ -142,6 +151,29 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
     size = np.sqrt(np.diag(products))
     # Not quite 1 where components are proportional, as of a hinge: the covariance stays definite.
     return np.asarray(_DEFINITE * products / np.outer(size, size) + (1.0 - _DEFINITE) * np.eye(6))
+
+
+def measurement_errors(
+    samples: Samples, noise: FloatArray, settings: ForceMapSettings
+) -> FloatArray:
+    r"""Standard deviation of each cluster's measurement error, shape (c, 3) [N].
+
+    .. math:: \sqrt{\max(\sigma_{noise}, \sigma_{offset})^2 + (\sigma_{gain} f_{rms})^2}
+
+    with the force map's uncertainty of the offset (including typical noise) and of the gain, and
+    the RMS f_rms of the channel.
+
+    Args:
+        samples: Samples with c clusters, over which the RMS is taken.
+        noise: Noise of each channel in the clusters' frames, shape (c, 3) [N]; NaN if unknown.
+        settings: Prior of the force map, with the uncertainties.
+    """
+    forces = samples.trusted_forces
+    sizes = np.empty(noise.shape)
+    for cluster, axis in np.ndindex(noise.shape):
+        sizes[cluster, axis] = rms(forces[:, cluster, axis])
+    offset = np.fmax(noise, settings.cluster_error)
+    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(sizes))
 
 
 def smooth_poses(samples: Samples, window: float) -> Samples:

@@ -41,13 +41,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
-from socket_testbed.errors import ConfigurationError, IdentificationError, closest
+from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, local_channels
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, check_channels, local_channels
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
@@ -134,23 +134,6 @@ class Objective:
         channels = tuple(replace(c, measured=c.measured[rows]) for c in self.channels)
         samples, wrench = self.samples[rows], self.wrench[rows]
         return replace(self, samples=samples, wrench=wrench, channels=channels)
-
-
-def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
-    """Check that every name is a channel.
-
-    Args:
-        leave_out: Names to check, such as `Mz` or `distal.Fx`.
-        names: Names of all channels.
-
-    Raises:
-        ConfigurationError: If a name is not one of them.
-    """
-    for name in leave_out:
-        if name not in names:
-            own = [channel for channel in names if channel.startswith(f"{name}.")]
-            hint = f"give {' '.join(own)}" if own else closest(name, names)
-            raise ConfigurationError(f"leave_out: no channel '{name}'", hint)
 
 
 def check_parts(samples: Samples, who: str, pose: bool = False, wrench: bool = False) -> None:

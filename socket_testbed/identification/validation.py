@@ -27,10 +27,14 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import fit
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.noise import channel_noise, smooth_poses
+from socket_testbed.identification.noise import (
+    channel_noise,
+    measurement_errors,
+    smooth_poses,
+)
 from socket_testbed.identification.problem import MIN_SAMPLES, check_parts
-from socket_testbed.identification.wrench import REGRESSION, regress_wrench, relative_pose
-from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels
+from socket_testbed.identification.wrench import REGRESSION, regress_wrench
+from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels, relative_pose
 from socket_testbed.settings.identification import (
     VARIANTS,
     ForceMapSettings,
@@ -219,31 +223,6 @@ def judge_wrench(
             skill = fit.skill_of(error, finite_mean(constant[part]))
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
         yield Judgement("wrench", name, test, fitted_on, tested_on, **figures)
-
-
-def left_out_pressures(
-    samples: Samples, geometry: SocketGeometry, force_map: ForceMap | None = None
-) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
-    """Measured and expected pressure of each cluster.
-
-    Expected is what the force map of the other clusters and the wrench says.
-
-    Args:
-        samples: N samples.
-        geometry: The socket, which has the clusters of the samples.
-        force_map: The map of these clusters; None for one with the default prior.
-
-    Yields:
-        Name of a cluster, its measured normal pressure (NaN unless trusted), the expected one and
-        its standard deviation, shape (N,) each [Pa]; pressures are positive in compression.
-    """
-    force_map = force_map or ForceMap(geometry, samples.clusters)
-    for column, name in enumerate(samples.clusters):
-        tile = geometry.clusters[name]
-        measured = geometry.cluster_stress(name, samples.trusted_forces[:, column])[:, 0]
-        others = force_map.estimate(samples.without(local_channels(name)))
-        deviation = others.normal_pressure_standard_deviation[:, tile]
-        yield name, measured, others.normal_pressure[:, tile], deviation
 
 
 FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray]]
@@ -507,29 +486,6 @@ def judge_map(
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings.force_map, prior_map)
     return [*judge_clusters(samples, geometry, estimators, noise, name)]
-
-
-def measurement_errors(
-    samples: Samples, noise: FloatArray, settings: ForceMapSettings
-) -> FloatArray:
-    r"""Standard deviation of each cluster's measurement error, shape (c, 3) [N].
-
-    .. math:: \sqrt{\max(\sigma_{noise}, \sigma_{offset})^2 + (\sigma_{gain} f_{rms})^2}
-
-    with the force map's uncertainty of the offset (including typical noise) and of the gain, and
-    the RMS f_rms of the channel.
-
-    Args:
-        samples: Samples with c clusters, over which the RMS is taken.
-        noise: Noise of each channel in the clusters' frames, shape (c, 3) [N]; NaN if unknown.
-        settings: Prior of the force map, with the uncertainties.
-    """
-    forces = samples.trusted_forces
-    sizes = np.empty(noise.shape)
-    for cluster, axis in np.ndindex(noise.shape):
-        sizes[cluster, axis] = rms(forces[:, cluster, axis])
-    offset = np.fmax(noise, settings.cluster_error)
-    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(sizes))
 
 
 def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, FloatArray]:

@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, evenly
-from socket_testbed.samples import GROUPS, Samples, turned
+from socket_testbed.samples import GROUPS, Samples, relative_pose
 
 REGRESSION = "linear regression on the pose"
 MEMORY = "linear regression on the pose with memory of its past"
@@ -45,22 +45,6 @@ _STEPS = 21  # steps between samples that show the usual one
 _CHUNK = 4096  # samples; memory grows with samples times support points
 _RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
 _MIN_SPREAD = 1e-12  # [-]; spread of a constant component of the pose, relative to its magnitude
-
-
-def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Displacement and rotation vector since a reference pose, both in {S}.
-
-    Args:
-        pose: Positions q and rotation vectors of the limb in {S}, shape (N, 6) [m, rad].
-        reference: Reference position c and rotation vector in {S}, shape (6,) [m, rad].
-
-    Returns:
-        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN in rows where any
-        component of the pose is NaN.
-    """
-    relative = np.hstack([pose[:, :3] - reference[:3], turned(pose[:, 3:], -reference[3:])])
-    relative[~np.isfinite(relative).all(axis=1)] = np.nan
-    return relative
 
 
 def regress_wrench(samples: Samples, motion: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -579,8 +579,10 @@ class TestbedNode(Node, Generic[S]):
 class SlowService:
     """A service that answers from its own thread, one request after the other.
 
-    The events executor does not support coroutines. It passes the callback's result to
-    `send_response`; here both only forward the request to the thread, which answers.
+    The events executor does not support coroutines, and rclpy has no public way to answer later: it
+    passes the callback's result to the service's `send_response`, whatever the callback returns.
+    Here both only forward the request to the thread, which answers. Another executor for these
+    services would need a second node, which every list of nodes would show.
 
     Args:
         node: The node that offers it.

@@ -10,19 +10,19 @@ from __future__ import annotations
 import errno
 import math
 import os
-import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeAlias
 
 from backports import zstd
-from rosbags import interfaces
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from mcap.writer import CompressionType, Writer
 
+from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TrialError, listed
 from socket_testbed.files import TemporaryFolder, disk_hint, hold, sync
 from socket_testbed.trials.bag_parts import (
@@ -50,6 +50,7 @@ from socket_testbed.trials.bag_parts import (
 )
 from socket_testbed.trials.mcap_file import McapFile, is_empty
 from socket_testbed.trials.sqlite_file import SqliteFile
+from socket_testbed.version import __version__
 from socket_testbed.wire.cdr import typestore
 from socket_testbed.wire.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
 
@@ -59,11 +60,10 @@ _BLOCK_SIZE = 4096  # messages decoded at once
 _MAX_LISTED = 3  # names in a note
 _MAX_PARTS_APART = 30 * MAX_APART  # [ns]; beyond it a clock was not set
 _SAME_START = 10**7  # [ns]; between the starts of a part and of what metadata.yaml lists
-_FOREVER = interfaces.QosTime(2147483647, 4294967295)
-_CHUNK_SIZE = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
-_CHUNK_SPAN = 10**9  # [ns]; damage loses a whole chunk
-_INDEX_CHECKSUM_OFFSET = 4 + 8  # [bytes] from the end of the file
-_CHUNK_CHECKSUM_OFFSET = 9 + 3 * 8  # [bytes] from the start of a chunk's record
+_FOREVER = {"sec": 2147483647, "nsec": 4294967295}  # [s, ns]; as ROS 2 states no limit
+_NO_START = 2**63 - 1  # [ns]; as rosbag2 states it of a bag without a message
+_CHUNK_SIZE = 2**20  # [bytes]; a chunk is closed by the message that exceeds it
+_CHUNK_SPAN = 10**9  # [ns]; longest chunk
 
 
 class RawMessage(NamedTuple):
@@ -673,6 +673,9 @@ def _damaged(file: Path, error: Exception) -> TrialError:
 class BagWriter:
     """Writes a new MCAP bag into a folder that must not exist; a context manager.
 
+    Chunks and the index have checksums. A chunk holds at most a second and about a megabyte,
+    because damage loses a whole chunk.
+
     Attributes:
         path: The folder, which entry creates.
 
@@ -684,52 +687,75 @@ class BagWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with self._refusing():
-            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._connections: dict[str, interfaces.Connection] = {}
-        self._chunk_time: int | None = None  # [ns]; of its first message
+        self._topics: dict[str, _WrittenTopic] = {}
+        self._schemas: dict[str, int] = {}  # numbers of the types in the file, by their names
+        self._start: int | None = None  # [ns]; of the first message
+        self._end = 0  # [ns]; of the last message
+        self._chunk_start: int | None = None  # [ns]; of the chunk's first message
         self._lock = -1  # descriptor that locks the folder while it is written
 
     def __enter__(self) -> Self:
-        with self._refusing():
-            self._writer.open()
+        try:
+            self.path.mkdir(parents=True)
+        except FileExistsError:
+            fact = f"{self.path} exists already: another process made it meanwhile"
+            raise ConfigurationError(fact, "name another folder") from None
+        self._file = self._recording.open("xb")
+        # Any: the library leaves some of its methods untyped.
+        self._writer: Any = Writer(self._file, _CHUNK_SIZE, CompressionType.NONE)
+        self._writer.start("ros2", f"socket_testbed {__version__}")
         self._lock = hold(self.path)
         with suppress(OSError):  # unsupported on network drives
             sync(self.path)
             sync(self.path.parent)
         return self
 
+    @property
+    def _recording(self) -> Path:
+        return self.path / f"{self.path.name}.mcap"
+
     def __exit__(self, *error: object) -> None:
         # Even after an error: the messages so far make a complete bag.
-        self._close_chunk()
-        self._writer.close()
-        recording = self.path / f"{self.path.name}.mcap"
-        self._write_index_checksum(recording)
-        for file in (recording, self._writer.metapath):
+        content = self._metadata()
+        self._writer.flush()
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": dump_yaml(content).strip()})
+        self._writer.finish()
+        self._file.close()
+        described = self.path / BAG_METADATA
+        staging = described.with_suffix(".tmp")
+        staging.write_text(dump_yaml({"rosbag2_bagfile_information": content}), encoding="utf-8")
+        for file in (self._recording, staging):
             sync(file)
+        staging.replace(described)
         os.close(self._lock)
 
-    @contextmanager
-    def _refusing(self) -> Iterator[None]:
-        """Refuse a folder that exists; the library's own error is none of this package."""
-        try:
-            yield
-        except WriterError:
-            fact = f"{self.path} exists already: another process made it meanwhile"
-            raise ConfigurationError(fact, "name another folder") from None
-
-    def _write_index_checksum(self, file: Path) -> None:
-        """Write the checksum of the index; the library leaves it zero (unchecked)."""
-        with file.open("r+b") as stream:
-            place = stream.seek(-_INDEX_CHECKSUM_OFFSET, os.SEEK_END)
-            stream.seek(place - 16)
-            start = int.from_bytes(stream.read(8), "little")
-            stream.seek(start)
-            stream.write(zlib.crc32(stream.read(place - start)).to_bytes(4, "little"))
+    def _metadata(self) -> dict[str, Any]:
+        """The content of `metadata.yaml`, version 9, as ROS 2 Jazzy writes it."""
+        start = _NO_START if self._start is None else self._start
+        content = {
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "duration": {"nanoseconds": max(0, self._end - start)},
+            "message_count": sum(topic.count for topic in self._topics.values()),
+        }
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [self._recording.name],
+            **content,
+            "topics_with_message_count": [
+                {"topic_metadata": topic.stated, "message_count": topic.count}
+                for topic in self._topics.values()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": self._recording.name, **content}],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
 
     def abandon(self) -> None:
         """Leave the bag unfinished after its storage failed; readers recover its content."""
-        for end in (self._writer.abort, partial(os.close, self._lock)):
+        for end in (self._file.close, partial(os.close, self._lock)):
             with suppress(OSError):
                 end()
 
@@ -740,14 +766,23 @@ class BagWriter:
             name: Its full name in the graph, such as `/left/trigger`.
             topic: The testbed's topic, which gives the type and the quality of service.
         """
-        keep, alive = interfaces.QosHistory.KEEP_LAST, interfaces.QosLiveliness.AUTOMATIC
-        reliable, lasting = interfaces.QosReliability.RELIABLE, interfaces.QosDurability
-        durability = lasting.TRANSIENT_LOCAL if topic.latched else lasting.VOLATILE
-        behaviour = reliable, durability, _FOREVER, _FOREVER, alive, _FOREVER, False
-        qos = interfaces.Qos(keep, topic.depth, *behaviour)
-        self._connections[name] = self._writer.add_connection(
-            name, topic.type, typestore=typestore(), offered_qos_profiles=[qos]
+        if topic.type not in self._schemas:
+            definition, _ = typestore().generate_msgdef(topic.type, ros_version=2)
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, "ros2msg", definition.encode()
+            )
+        qos = [_quality_of_service(topic)]
+        channel = self._writer.register_channel(
+            name, "cdr", self._schemas[topic.type], {"offered_qos_profiles": dump_yaml(qos).strip()}
         )
+        stated = {
+            "name": name,
+            "type": topic.type,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": qos,
+            "type_description_hash": typestore().hash_rihs01(topic.type),
+        }
+        self._topics[name] = _WrittenTopic(channel, stated)
 
     def write(self, name: str, time: int, data: bytes) -> None:
         """Append a message to a declared topic.
@@ -757,13 +792,19 @@ class BagWriter:
             time: When the message was received, since the epoch [ns].
             data: The message, serialised (CDR).
         """
-        since = time if self._chunk_time is None else self._chunk_time
-        full = self._storage.chunk.bio.tell() + len(data) > _CHUNK_SIZE
-        if full or abs(time - since) >= _CHUNK_SPAN:
+        if self._chunk_start is not None and abs(time - self._chunk_start) >= _CHUNK_SPAN:
             self._close_chunk()
-        if self._chunk_time is None:
-            self._chunk_time = time
-        self._writer.write(self._connections[name], time, data)
+        if self._chunk_start is None:
+            self._chunk_start = time
+        topic = self._topics[name]
+        self._writer.add_message(topic.channel, time, data, time)
+        topic.count += 1
+        self._start = time if self._start is None else min(time, self._start)
+        self._end = max(time, self._end)
+
+    def _close_chunk(self) -> None:
+        self._writer.flush()
+        self._chunk_start = None
 
     def flush(self) -> None:
         """Flush all messages so far to the disk as a chunk that survives a power cut.
@@ -773,27 +814,38 @@ class BagWriter:
             FileNotFoundError: If the bag was removed meanwhile.
         """
         self._close_chunk()
-        self._storage.bio.flush()
-        file = self._storage.bio.fileno()
+        file = self._file.fileno()
         os.fsync(file)
         # A bag that was moved meanwhile still has its name, elsewhere.
         if not os.fstat(file).st_nlink and not self.path.exists():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
 
-    @property
-    def _storage(self) -> Any:
-        """The library's internal storage; its version is pinned because this is not public API."""
-        return self._writer.storage
 
-    def _close_chunk(self) -> None:
-        """Write the chunk and its checksum, which the library leaves zero (unchecked)."""
-        self._chunk_time = None
-        storage = self._storage
-        if not storage.chunk.bio.tell():
-            return
-        checksum = zlib.crc32(storage.chunk.bio.getbuffer())
-        start = storage.bio.tell()
-        storage.close_chunk()
-        storage.bio.seek(start + _CHUNK_CHECKSUM_OFFSET)
-        storage.bio.write(checksum.to_bytes(4, "little"))
-        storage.bio.seek(0, os.SEEK_END)
+@dataclass
+class _WrittenTopic:
+    """A topic of a bag that is being written.
+
+    Attributes:
+        channel: Its number in the file.
+        stated: What `metadata.yaml` states of it.
+        count: Number of its messages so far.
+    """
+
+    channel: int
+    stated: dict[str, Any]
+    count: int = 0
+
+
+def _quality_of_service(topic: Topic) -> dict[str, Any]:
+    """The quality of service of a topic's publisher, as rosbag2 writes it."""
+    return {
+        "history": "keep_last",
+        "depth": topic.depth,
+        "reliability": "reliable",
+        "durability": "transient_local" if topic.latched else "volatile",
+        "deadline": dict(_FOREVER),
+        "lifespan": dict(_FOREVER),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(_FOREVER),
+        "avoid_ros_namespace_conventions": False,
+    }

@@ -20,7 +20,7 @@ from itertools import islice
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, gaps, runs, usual_period
+from socket_testbed.arrays import FloatArray, IntArray, gaps, runs, usual_period
 from socket_testbed.drivers import ERROR
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.errors import TrialError, fact_and_hint
@@ -74,20 +74,22 @@ def check_readings(
     return tuple(found)
 
 
-def check_reports(bag: BagReader, stamps: tuple[int, int]) -> Iterator[DataFinding]:
+def check_reports(bag: BagReader, stamps: IntArray) -> list[DataFinding]:
     """What the nodes of the testbed reported as an ERROR while a trial was recorded.
 
     Nodes that only compute from the measurements do not count.
 
     Args:
         bag: The open bag; without diagnostics nothing is found.
-        stamps: First and last stamp of the trial's samples [ns]: earlier and later reports are
-            left out.
+        stamps: Stamps of the trial's N samples, shape (N,) [ns], ascending; earlier and later
+            reports are left out.
 
-    Yields:
+    Returns:
         A finding per node, with its most frequent report.
     """
-    first, last = stamps
+    if not len(stamps):
+        return []
+    first, last = int(stamps[0]), int(stamps[-1])
     names = [name for name, kind in bag.types.items() if name.endswith(topics.DIAGNOSTICS.name)
              and kind == topics.DIAGNOSTICS.type]  # fmt: skip
     reports: dict[str, list[tuple[int, str]]] = {}
@@ -103,16 +105,19 @@ def check_reports(bag: BagReader, stamps: tuple[int, int]) -> Iterator[DataFindi
             node = status.name.rpartition("/")[2]
             if int(status.level) == ERROR and first <= stamp <= last and node not in _OTHERS:
                 reports.setdefault(node, []).append((stamp, status.message))
+    found = []
     for node, own in reports.items():
         texts = [text for _, text in own]
         fact, hint = fact_and_hint(max(dict.fromkeys(texts), key=texts.count))
         begin, end = (1e-9 * (stamp - first) for stamp in (own[0][0], own[-1][0]))
         when = f"at {begin:.0f} s" if len(own) == 1 else f"from {begin:.0f} to {end:.0f} s"
-        yield DataFinding(
+        finding = DataFinding(
             node or "/diagnostics",
             f"it reported an ERROR {when}: {fact or hint}",
             hint if fact else "see docs/faults.md",
         )
+        found.append(finding)
+    return found
 
 
 _COMPARED_POSES = 60  # at the start of a trial, of which each is compared with its markers

@@ -62,14 +62,14 @@ class _Kept:
         samples: The samples; None before the first reading.
         fingerprint: The fingerprint; empty before the first reading.
         checked: The judged samples, by left-out channels.
-        readings: The problems that the measurements show.
+        raw: The problems that the measurements show, and what nodes reported.
         notes: The notes as keys, in their order, without duplicates.
     """
 
     samples: Samples | None = None
     fingerprint: str = ""
     checked: dict[tuple[str, ...], CheckedSamples] = field(default_factory=dict)
-    readings: tuple[DataFinding, ...] = ()
+    raw: tuple[DataFinding, ...] = ()
     notes: dict[str, None] = field(default_factory=dict)
 
 
@@ -154,15 +154,15 @@ class Trial:
             CalibrationError: If the calibration lacks a cluster of the trial, or an unloaded span
                 holds too few readings.
         """
-        recorded = self._recorded()
+        with self.open() as bag:
+            recorded = self._recorded(bag)
         return self._corrected(self._remade(recorded))
 
-    def _recorded(self) -> synchronise.Measurements:
+    def _recorded(self, bag: BagReader) -> synchronise.Measurements:
         """The measurements as recorded, with the bridges' ratios if there are any."""
-        with self.open() as bag:
-            name = required_topics(bag).get(topics.LOAD_CELL_RAW, "")
-            more = {*self.remade} | ({topics.LOAD_CELL_RAW} if bag.counts.get(name) else set())
-            measured = synchronise.read_measurements(bag, self._notify, more)
+        name = required_topics(bag).get(topics.LOAD_CELL_RAW, "")
+        more = {*self.remade} | ({topics.LOAD_CELL_RAW} if bag.counts.get(name) else set())
+        measured = synchronise.read_measurements(bag, self._notify, more)
         self._kept.fingerprint = _fingerprint(measured)
         return self._without_strangers(measured)
 
@@ -256,7 +256,7 @@ class Trial:
         """What is known of the trial beside its samples."""
         from socket_testbed.identification.checked import Evidence  # not needed by a replay
 
-        return Evidence(self.metadata.mass, (*self._kept.readings, *self._reports))
+        return Evidence(self.metadata.mass, self._kept.raw)
 
     def sound(self, leave_out: str | Sequence[str] = ()) -> Samples:
         """The samples with outliers as NaN, found in channels that are not left out; cached.
@@ -283,16 +283,6 @@ class Trial:
         trial's settings.
         """
         return self.checked(leave_out).findings
-
-    @cached_property
-    def _reports(self) -> tuple[DataFinding, ...]:
-        """Quaternions that do not fit the markers, and nodes' ERRORs: see `trials.raw_check`."""
-        from socket_testbed.trials.raw_check import check_orientations, check_reports
-
-        stamps = self.samples().stamps
-        with BagReader(self.path) as bag:
-            found = [*check_orientations(bag, self.geometry)]
-            return (*found, *check_reports(bag, (int(stamps[0]), int(stamps[-1]))))
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
@@ -322,9 +312,12 @@ class Trial:
 
     def measurements_and_samples(self) -> tuple[synchronise.Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
-        from socket_testbed.trials.raw_check import check_readings  # not needed by a replay
+        from socket_testbed.trials import raw_check  # not needed by a replay
 
-        recorded = self._recorded()
+        with self.open() as bag:
+            recorded = self._recorded(bag)
+            turned = [*raw_check.check_orientations(bag, self.geometry)]
+            reports = raw_check.check_reports(bag, recorded.stamps)
         remade = self._remade(recorded)
         measured = self._corrected(remade)
         self._require_clusters(measured.clusters)
@@ -332,7 +325,8 @@ class Trial:
         if self.load_cell_file is not None:
             cell = reprocess.read_load_cell(self.load_cell_file)
         judged = replace(recorded, wrench=remade.wrench)
-        self._kept.readings = check_readings(judged, self.geometry, cell)
+        readings = raw_check.check_readings(judged, self.geometry, cell)
+        self._kept.raw = (*readings, *turned, *reports)
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
         if self._kept.samples is None:
             self._kept.samples = samples

@@ -133,7 +133,8 @@ def call_predict(stage: Stage, **options: Any) -> None:
         return np.zeros((96, 18))
 
     stage.replace("api.models.predictions", predicted)
-    st.predict(stage.trial, **{"model": "model.json"} | options)
+    found = st.predict(stage.trial, **{"model": "model.json"} | options)
+    stage.seen["rows"] = [len(found), *found.index[[0, -1]]]
 
 
 @calls
@@ -535,7 +536,10 @@ CASES: dict[str, Cases] = {
     },
     "fit": FIT,
     "read_model": {},
-    "predict": {"model": ("other.json", {"model of": "other"})},
+    "predict": {
+        "model": ("other.json", {"model of": "other"}),
+        "segment": ("2:5", {"rows": [13, 2.0, 5.0]}),
+    },
     "evaluate": {
         "model": ("other.json", {"model of": "other"}),
         "segment": ("2:5", {"part": "2:5", "segment": SPAN, "predicted": 13, "past": 8}),
@@ -803,6 +807,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "replace": False,
     },
     "fit": {"segment": "plateau"},
+    "predict": {"segment": "all"},
     "evaluate": {"segment": "plateau", "pressure": False},
     "pareto": {"segment": "plateau", "thetas": 101},
     "paper": {"segment": "plateau", "thetas": 101, "weights": "raw", "frames": 1000},

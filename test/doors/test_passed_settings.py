@@ -12,6 +12,7 @@ from support.arrivals import Stage, changes
 
 from socket_testbed.identification import validation
 from socket_testbed.identification.fit import FittedModel
+from socket_testbed.identification.noise import measurement_errors
 from socket_testbed.results.models import judge
 from socket_testbed.results.report import Results, compute_results
 from socket_testbed.samples import Samples
@@ -366,5 +367,5 @@ def test_each_cluster_has_its_own_noise() -> None:
     samples: Any = SimpleNamespace(trusted_forces=forces)
     own = replace(EstimatorSettings().force_map, cluster_error=0.2, cluster_gain_error=0.1)
     noise = np.array([[0.5, np.nan, 0.1], [0.1, 0.1, 0.3]])
-    found = validation.measurement_errors(samples, noise, own)
+    found = measurement_errors(samples, noise, own)
     assert np.allclose(found, [[0.5, 0.2, 0.2], [0.2, 0.2, np.hypot(0.3, 1.0)]])

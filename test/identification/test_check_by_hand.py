@@ -9,6 +9,7 @@ from support import scene
 from support.problems import make_samples
 
 from socket_testbed.identification import data_check
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.data_check import DataFinding, check_data
 from socket_testbed.samples import Samples, Status
 
@@ -33,6 +34,14 @@ def test_a_finding_says_where_to_look() -> None:
     assert (
         str(DataFinding("Mz", "it is still", "check it")) == "data: check Mz: it is still; check it"
     )
+
+
+def test_the_gate_s_noise_is_judged() -> None:
+    checked = CheckedSamples(scene_samples(), GEOMETRY)
+    found = checked.noise
+    wrench = np.where(np.arange(6) == FX, 25.0, found.wrench)
+    vars(checked)["noise"] = replace(found, wrench=wrench)
+    assert ("Fx", "its noise is 25 N") in [(each.source, each.fact) for each in checked.findings]
 
 
 # --- series

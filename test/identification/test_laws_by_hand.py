@@ -13,7 +13,7 @@ from socket_testbed.identification import contact, force_map, problem
 from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.contact import Loading, PaperLaw, RigidLaw
 from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
-from socket_testbed.samples import Samples, Status, local_channels
+from socket_testbed.samples import Samples, Status, check_channels, local_channels
 from socket_testbed.settings.identification import (
     ForceMapSettings,
     IdentificationSettings,
@@ -325,13 +325,13 @@ def test_a_dead_channel_may_be_left_out() -> None:
 
 def test_unknown_channels_have_a_hint() -> None:
     names = scene_samples().channels
-    problem.check_channels(("Mz", "distal.Fx"), names)
+    check_channels(("Mz", "distal.Fx"), names)
     for name, hint in (
         ("distal", "give distal.Fx distal.Fy distal.Fz"),
         ("distal.Fw", "did you mean"),
     ):
         with pytest.raises(ConfigurationError) as refusal:
-            problem.check_channels((name,), names)
+            check_channels((name,), names)
         assert refusal.value.fact == f"leave_out: no channel '{name}'"
         assert hint in refusal.value.hint
 

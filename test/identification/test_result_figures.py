@@ -15,6 +15,7 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import fit, paper, pareto, validation
 from socket_testbed.identification.fit import ChannelErrors
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.identification.noise import measurement_errors
 from socket_testbed.identification.pareto import Front, FrontPoint
 from socket_testbed.identification.validation import Judgement
 from socket_testbed.samples import Samples
@@ -338,7 +339,7 @@ def test_a_cluster_has_its_measurement_error() -> None:
     forces = np.zeros((4, 1, 3))
     forces[:, 0] = [3.0, -4.0, 12.0]
     samples = make_samples(np.zeros((4, 3)), np.zeros((4, 6)), {"distal": forces[:, 0]})
-    found = validation.measurement_errors(samples, np.array([[0.1, NAN, 0.9]]), settings)
+    found = measurement_errors(samples, np.array([[0.1, NAN, 0.9]]), settings)
     assert found[0].tolist() == pytest.approx(
         [np.hypot(0.5, 0.3), np.hypot(0.5, 0.4), np.hypot(0.9, 1.2)]
     )

@@ -9,6 +9,7 @@ from support.problems import make_samples, random_socket
 from socket_testbed.arrays import evenly
 from socket_testbed.identification import validation
 from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.noise import measurement_errors
 from socket_testbed.identification.wrench import REGRESSION
 from socket_testbed.samples import turned
 from socket_testbed.settings.identification import ForceMapSettings
@@ -133,7 +134,7 @@ def test_clusters_that_agree_are_judged_without_error(uniform):
 def test_measurement_errors_grow_with_the_force(uniform):
     _, samples = uniform
     settings = ForceMapSettings(cluster_error=0.5, cluster_gain_error=0.1)
-    errors = validation.measurement_errors(samples, NO_NOISE, settings)
+    errors = measurement_errors(samples, NO_NOISE, settings)
     assert np.allclose(errors, np.hypot(0.5, [0.1, 0.2, 1.0]))
 
 

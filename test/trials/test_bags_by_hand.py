@@ -1,14 +1,20 @@
 """Bags of a few messages at known times: durations, parts, counts, and what is wrong with them."""
 
+import io
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rosbags.rosbag2
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from support import scene
 from support.wording import refused
 
 from socket_testbed.documents import load_yaml
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials import bag, bag_parts
 from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.trial import Trial, read_configuration, store_configuration
@@ -40,6 +46,39 @@ def test_a_bag_s_duration_is_from_first_to_last(tmp_path: Path) -> None:
         assert list(found.messages(["/lab/event"])) == [] and found.notes == []
     with BagReader(write(tmp_path / "b")) as found:
         assert found.duration == 0.0
+
+
+def test_other_programs_read_a_bag(tmp_path: Path) -> None:
+    """What metadata.yaml states, and the checksums of the chunks and of the index."""
+    folder = write(tmp_path / "a", 0.5, 1.0, 3.25)
+    with rosbags.rosbag2.Reader(folder) as found:
+        assert (found.message_count, found.start_time - START) == (3, SECOND // 2)
+        assert found.duration == 2.75 * SECOND + 1
+        assert [(each.topic, each.msgcount) for each in found.connections] == [
+            ("/lab/trigger", 3),
+            ("/lab/event", 0),
+        ]
+        (qos,) = found.connections[0].ext.offered_qos_profiles
+        assert (qos.depth, qos.reliability.name, qos.durability.name) == (
+            *(100, "RELIABLE", "VOLATILE"),
+        )
+    content = (folder / "a.mcap").read_bytes()
+    records = StreamReader(io.BytesIO(content), emit_chunks=True).records
+    chunks = [each for each in records if isinstance(each, Chunk)]
+    assert len(chunks) == 2 and all(chunk.uncompressed_crc for chunk in chunks)
+    reader = make_reader(io.BytesIO(content), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None and len(summary.chunk_indexes) == 2
+    index_checksum = int.from_bytes(content[-12:-8], "little")
+    start_of_index = int.from_bytes(content[-28:-20], "little")
+    assert index_checksum == zlib.crc32(content[start_of_index:-12])
+
+
+def test_a_bag_never_writes_into_a_folder_that_exists(tmp_path: Path) -> None:
+    with refused(ConfigurationError, "a exists already: another process", "name another folder"):
+        write(write(tmp_path / "a", 0.0))
+    with BagReader(tmp_path / "a") as found:
+        assert found.counts["/lab/trigger"] == 1
 
 
 def test_messages_are_in_the_order_of_their_times(tmp_path: Path) -> None:
@@ -97,7 +136,7 @@ def test_blocks_are_by_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
             " it again with 'ros2 bag reindex'",
         ),
         (
-            lambda text: text[:40],
+            lambda text: text[:35],
             "metadata.yaml is not rosbag2 metadata; the storage files were read as they are: write"
             " it again with 'ros2 bag reindex'",
         ),
