@@ -30,7 +30,7 @@ FUNCTIONS = [name for name in st.__all__ if name.islower()]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the examples: two simulated trials, bench data, a scan and a static take."""
+    """The folder of the examples: two simulated trials, bench data, a scan and other sources."""
     path = tmp_path_factory.mktemp("api")
     st.simulate(path / "trials" / "hold", duration=40, seed=3)
     st.simulate(path / "trials" / "walk", "multi_direction", duration=40, seed=4)
@@ -39,6 +39,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bench = make_bench(np.random.default_rng(23))
     write_take(bench.take, path / "take.csv")
     write_landmarks(bench.document, path / "landmarks.yaml")
+    rows = [f"{0.01 * i:.2f},1,2,{-10.0 - 0.1 * i:.1f},0,0,0" for i in range(401)]
+    titles = "time [s],Fx [N],Fy [N],Fz [N],Mx [N m],My [N m],Mz [N m]"
+    (path / "load_cell.csv").write_text("\n".join([titles, *rows, ""]))
     (path / "old_socket.yaml").write_text(packaged("config", "socket.yaml").read_text())
     return path
 

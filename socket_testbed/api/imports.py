@@ -109,6 +109,11 @@ def import_trial(
         TrialError: The bag cannot be read, a topic is not there or of another type, several topics
             suit, or the sources share no time.
         ConfigurationError: An option or a file is wrong, or the folder exists.
+
+    >>> trial = st.import_trial("load_cell.csv", "trials/load_cell", rate=10)
+    >>> found = trial.samples()
+    >>> found.to_dataframe()["Fz [N]"].iloc[[0, -1]].round(1).to_list()
+    [-10.0, -50.0]
     """
     notify = warnings.warn if notify is None else notify
     paths = _paths(source)
