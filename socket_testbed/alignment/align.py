@@ -186,7 +186,7 @@ def _chosen(
         return
     moments = triggers + round(settings.delay * _SECOND)
     usual = 1e-9 * float(np.nan_to_num(median_step(times)))
-    limit = settings.stale if settings.stale >= 0 else max(USUAL_STALE[0], USUAL_STALE[1] * usual)
+    limit = _longest_gap(settings, usual)
     before = np.searchsorted(times, moments, "right") - 1
     if settings.method == "last":
         old = (moments - times[np.maximum(before, 0)]) * 1e-9
@@ -207,6 +207,11 @@ def _chosen(
     rows = np.flatnonzero(between & (gap <= limit))
     before, after, first, last = before[rows], after[rows], first[rows], last[rows]
     yield from _lines((rows, before, after, first, last), times, moments, width)
+
+
+def _longest_gap(settings: SourceSettings, usual: float) -> float:
+    """Longest distance between the readings around a trigger, for a usual step of them [s]."""
+    return settings.stale if settings.stale >= 0 else max(USUAL_STALE[0], USUAL_STALE[1] * usual)
 
 
 def _lines(
@@ -321,23 +326,33 @@ class SourceBuffer:
         rows = slice(0, self._number)
         return _made(self._series, self._times[rows], [own[rows] for own in self._columns])
 
-    def add(self, time: int, *values: FloatArray) -> bool:
-        """Add a reading; returns False, and leaves it out, if it is older than the newest one.
+    def add(self, time: int, *values: FloatArray) -> int:
+        """Add a reading in its place; of two with one stamp, the later one counts.
 
         Args:
             time: Its stamp on the source's clock [ns].
             values: A wrench [M; F], shape (6,) [N m, N]; a position [m] and a quaternion
                 x, y, z, w [-]; or the values of the clusters, shape (C, 4) [pF] or (C, 3) [Pa].
+
+        Returns:
+            How much older it is than the newest reading [ns]; 0 for the newest.
         """
-        if self._number and time < self._times[self._number - 1]:
-            return False
         if self._number == len(self._times):
             self._make_space(time)
-        self._times[self._number] = time
+        place, end = self._number, self._number
+        late = 0
+        if end and time <= self._times[end - 1]:
+            late = int(self._times[end - 1]) - time
+            place = int(np.searchsorted(self._times[:end], time, "left"))
+        again = place < end and self._times[place] == time
+        if place < end and not again:
+            for column in (self._times, *self._columns):
+                column[place + 1 : end + 1] = column[place:end].copy()
+        self._times[place] = time
         for column, value in zip(self._columns, values, strict=True):
-            column[self._number] = value
-        self._number += 1
-        return True
+            column[place] = value
+        self._number += not again
+        return late
 
     def _make_space(self, time: int) -> None:
         """Drop what is too old for any trigger, and double the space if that is little."""
@@ -353,6 +368,32 @@ class SourceBuffer:
         times[: self._number - old] = self._times[kept]
         self._times, self._number = times, self._number - old
 
+    @property
+    def step(self) -> float:
+        """Usual step between the kept readings [s]; NaN for fewer than two."""
+        return 1e-9 * median_step(self._times[: self._number])
+
+    @property
+    def newest(self) -> int:
+        """Stamp of the newest reading [ns]; 0 without any."""
+        return int(self._times[self._number - 1]) if self._number else 0
+
+    def latest(self, trigger: int, period: float) -> int:
+        """The time after which a first reading cannot give a value at a trigger any more [ns].
+
+        Args:
+            trigger: Time of the trigger on the source's clock [ns].
+            period: Period of the trigger [s].
+        """
+        gap = _longest_gap(self.settings, float(np.nan_to_num(self.step)))
+        return self._end(trigger, period) + round(gap * _SECOND)
+
+    def _end(self, trigger: int, period: float) -> int:
+        """The end of the window around a trigger, by the source's stamps [ns]."""
+        settings = self.settings
+        window = 0.0 if settings.method == "last" else averaging_span(settings.window, period)
+        return trigger + round((settings.delay + 0.5 * window) * _SECOND)
+
     def ready(self, trigger: int, period: float) -> bool:
         """Whether later readings cannot change the value at a trigger.
 
@@ -360,12 +401,7 @@ class SourceBuffer:
             trigger: Time of the trigger on the source's clock [ns].
             period: Period of the trigger [s].
         """
-        settings = self.settings
-        if not self._number:
-            return False
-        window = 0.0 if settings.method == "last" else averaging_span(settings.window, period)
-        end = trigger + round((settings.delay + 0.5 * window) * _SECOND)
-        return bool(self._times[self._number - 1] > end)
+        return bool(self._number) and self.newest > self._end(trigger, period)
 
     def at(self, trigger: int, period: float) -> Aligned:
         """The value at a trigger from the readings so far, as `align` gives it for N = 1.

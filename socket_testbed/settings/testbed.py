@@ -19,6 +19,7 @@ from socket_testbed.settings.acquisition import (
     MocapSettings,
     TriggerSettings,
 )
+from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
     FitChoices,
@@ -165,6 +166,7 @@ class TestbedSettings(Settings):
     cluster_node: ClusterSettings = field(default_factory=ClusterSettings)
     load_cell_node: LoadCellSettings = field(default_factory=LoadCellSettings)
     mocap_node: MocapSettings = field(default_factory=MocapSettings)
+    align_node: AlignSettings = field(default_factory=AlignSettings)
     calibration_node: CalibrationNodeSettings = field(default_factory=CalibrationNodeSettings)
     estimator_node: EstimatorSettings = field(default_factory=EstimatorSettings)
     recorder_node: RecorderSettings = field(default_factory=RecorderSettings)

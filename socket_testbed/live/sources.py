@@ -1,0 +1,296 @@
+"""Sources of other drivers, brought to the trigger while they are read; without ROS.
+
+The values are those that `import` finds in a recording of the same messages: the readers and the
+alignment are the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from socket_testbed.alignment.align import Aligned, Series, SourceBuffer
+from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
+from socket_testbed.alignment.source_clock import RunningClock
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.drivers import ERROR, OK, RECENT, WARN
+from socket_testbed.documents import convert
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.geometry.pose import PoseDocument
+from socket_testbed.settings.acquisition import averaging_span
+from socket_testbed.settings.alignment import (
+    LiveClusterSettings,
+    LiveSourceSettings,
+    LiveWrenchSettings,
+)
+from socket_testbed.trials import foreign
+from socket_testbed.trials.bag import RawMessage
+from socket_testbed.trials.imported import WrenchDocument
+
+_SECOND = 1_000_000_000  # [ns]
+_SILENT = 1.0  # [s]; without a message, or
+_SILENT_STEPS = 5.0  # so many usual steps of the source
+_DISORDER = 10.0  # [s]; for which the largest disorder of stamps counts
+_AHEAD = -0.002  # [s]; arrival minus stamp, below which the clock of a source is ahead
+_NOTHING = np.empty(0, np.int64)
+
+
+class StreamedSource:
+    """One source of another driver: messages in, values at triggers out.
+
+    All times are on the clock of the triggers' stamps.
+
+    Args:
+        source: Which source.
+        settings: Its topic, and how its readings are brought to triggers.
+        clusters: Names of the C clusters, whose order the values have; empty for other sources.
+
+    Attributes:
+        settings: They may be reassigned: all but the topic and the names take effect.
+        name: Its name in texts, such as `socket pose`.
+        frame: Frame of its newest message; empty if it has none.
+        missing: Number of triggers without a value, of any cluster.
+        unstamped: Whether its messages have no stamps, so that the times of arrival count.
+        clock: Its clock, see `RunningClock`.
+        last: The newest value at a trigger; None before any.
+    """
+
+    def __init__(
+        self,
+        source: foreign.Source,
+        settings: LiveSourceSettings,
+        clusters: Sequence[str] = (),
+    ) -> None:
+        self.settings = settings
+        self.name = foreign.in_words(source)
+        self.frame = ""
+        self.missing = 0
+        self.unstamped = False
+        self.clock = RunningClock()
+        self.last: Aligned | None = None
+        self._source = source
+        self._clusters = tuple(clusters)
+        named = settings.names if isinstance(settings, LiveClusterSettings) else ()
+        self._reader = foreign.SourceReader(source, settings.topic, named or self._clusters)
+        self._buffer: SourceBuffer | None = None
+        self._pending: deque[tuple[int, float]] = deque()  # triggers [ns] and their periods [s]
+        self._disorder: deque[tuple[int, int]] = deque()  # of messages: arrival, stamps late [ns]
+        self._heard = 0  # newest arrival [ns]
+        self._fault = ("", 0)  # text, and when [ns]
+        self._lacked = 0  # newest trigger without a value [ns]
+
+    @property
+    def rate(self) -> float:
+        """Rate of its readings [Hz]; NaN for fewer than two."""
+        step = self._buffer.step if self._buffer else math.nan
+        return 1.0 / step if step > 0.0 else math.nan
+
+    def receive(self, messages: Sequence[RawMessage]) -> None:
+        """Read some messages, in the order of their arrival.
+
+        Those that are not such a source are left out, and reported by `health`.
+
+        Args:
+            messages: The messages, of one type; `time` is that of their arrival [ns].
+        """
+        if not messages:
+            return
+        self._heard = messages[-1].time
+        notes: list[str] = []
+        try:
+            for stamps, arrivals, values, names in self._reader.parts(messages, notes):
+                self._add(stamps, arrivals, self._in_order(values, names))
+        except TestbedError as error:
+            notes.append(str(error))
+        if notes:
+            self._fault = notes[-1], self._heard
+
+    def _in_order(self, values: FloatArray, names: tuple[str, ...]) -> FloatArray:
+        """The values, of clusters by the order of ours; unknown ones are left out."""
+        if self._source != "clusters":
+            self.frame = names[0]
+            return values
+        ordered = np.full((len(values), len(self._clusters), values.shape[2]), np.nan)
+        known = [name for name in names if name in self._clusters]
+        for name in known:
+            ordered[:, self._clusters.index(name)] = values[:, names.index(name)]
+        if len(known) < len(names):
+            other = next(name for name in names if name not in self._clusters)
+            ours = ", ".join(self._clusters)
+            text = f"{self.settings.topic}: names the cluster {other}, which is none of {ours}"
+            self._fault = f"{text}: name the clusters in cluster_node", self._heard
+        return ordered
+
+    def _add(self, stamps: IntArray, arrivals: IntArray, values: FloatArray) -> None:
+        stamped = stamps != 0
+        if stamped.any():
+            self.unstamped = False
+            stamps, arrivals, values = stamps[stamped], arrivals[stamped], values[stamped]
+            self.clock.add(stamps, arrivals)
+            times = self.clock.to_recording(stamps)
+        else:
+            self.unstamped = True
+            times = arrivals
+        if self._buffer is None or self._kind_changed(values):
+            self._buffer = SourceBuffer(self.settings, self._empty(values))
+        columns = [values] if self._source != self._pose else [values[:, :3], values[:, 3:]]
+        for row, (time, arrival) in enumerate(zip(times.tolist(), arrivals.tolist(), strict=True)):
+            late = self._buffer.add(time, *(column[row] for column in columns))
+            if late:
+                while self._disorder and self._disorder[-1][1] <= late:
+                    self._disorder.pop()
+                self._disorder.append((arrival, late))
+        oldest = int(arrivals[-1]) - round(_DISORDER * _SECOND)
+        while self._disorder and self._disorder[0][0] < oldest:
+            self._disorder.popleft()
+
+    @property
+    def _pose(self) -> str:
+        return self._source if self._source.endswith("pose") else ""
+
+    def _kind_changed(self, values: FloatArray) -> bool:
+        """Whether the clusters' values are stresses now, and were capacitances, or vice versa."""
+        assert self._buffer is not None
+        series = self._buffer.series
+        return isinstance(series, ClusterSeries) and series.values.shape[2] != values.shape[2]
+
+    def _empty(self, values: FloatArray) -> Series:
+        if self._source == "wrench":
+            return WrenchSeries(_NOTHING, np.empty((0, 6)), self.frame)
+        if self._source == "clusters":
+            nothing = np.empty((0, *values.shape[1:]))
+            return ClusterSeries(_NOTHING, self._clusters, nothing)
+        return PoseSeries(_NOTHING, np.empty((0, 3)), np.empty((0, 4)), self.frame)
+
+    def trigger(self, stamp: int, period: float) -> None:
+        """Ask for the value at a trigger.
+
+        Args:
+            stamp: Time of the trigger [ns].
+            period: Period of the triggers [s]; 0 while it is unknown.
+        """
+        self._pending.append((stamp, period))
+
+    def due(self, now: int, wait: float) -> list[tuple[int, Aligned | None]]:
+        """The values at triggers that later readings cannot change, or that waited long enough.
+
+        Args:
+            now: The present time [ns].
+            wait: Longest wait for a reading, after the trigger, the delay and half the window [s].
+
+        Returns:
+            Stamps of triggers [ns], in order, and the values there; None if nothing arrived yet.
+        """
+        found: list[tuple[int, Aligned | None]] = []
+        if self._buffer is not None:
+            self._buffer.settings = self.settings
+        while self._pending and self._is_over(*self._pending[0], now, wait):
+            stamp, period = self._pending.popleft()
+            value = self._buffer.at(stamp, period) if self._buffer is not None else None
+            if value is None or value.status.any():
+                self.missing += 1
+                self._lacked = now
+            self.last = value
+            found.append((stamp, value))
+        return found
+
+    def _is_over(self, stamp: int, period: float, now: int, wait: float) -> bool:
+        """Whether no later reading counts for a trigger."""
+        if self._buffer is None:
+            span = averaging_span(self.settings.window, period)
+            return now > stamp + round((self.settings.delay + 0.5 * span + wait) * _SECOND)
+        disorder = self._disorder[0][1] if self._disorder else 0
+        if self._buffer.ready(stamp + disorder, period):
+            return True
+        return now > self._buffer.latest(stamp, period) + round(wait * _SECOND)
+
+    def health(self, now: int) -> tuple[int, str]:
+        """State of the source: OK, WARN or ERROR, with fact and hint in one line.
+
+        Args:
+            now: The present time [ns].
+        """
+        topic, fault = self.settings.topic, self._fault
+        if fault[0] and now - fault[1] < RECENT * _SECOND:
+            return ERROR, fault[0]
+        if not self._heard:
+            return ERROR, (
+                f"{self.name}: nothing arrives on {topic}: start its driver, or check the topic and"
+                " its ROS_DOMAIN_ID"
+            )
+        rate = self.rate
+        silent = (now - self._heard) / _SECOND
+        if silent > max(_SILENT, _SILENT_STEPS / rate if rate > 0.0 else 0.0):
+            return ERROR, f"{self.name}: {topic} is silent for {silent:.1f} s: check its driver"
+        if self._lacked and now - self._lacked < RECENT * _SECOND:
+            return WARN, self._lack()
+        late = self.late
+        if self.clock.is_another:
+            return WARN, (
+                f"{self.name}: the clock of {topic} is {late:+.3f} s behind this machine's: its"
+                " stamps are corrected by their arrival; synchronise the clocks"
+            )
+        if late < _AHEAD:
+            return WARN, (
+                f"{self.name}: the stamps of {topic} are {-1e3 * late:.0f} ms ahead of their"
+                " arrival: synchronise the clocks"
+            )
+        stamps = ", no stamps" if self.unstamped else ""
+        return OK, f"{self.name} at {rate:.3g} Hz{stamps}"
+
+    @property
+    def late(self) -> float:
+        """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
+        return self.clock.clock.offset if self.clock.clock is not None else math.nan
+
+    def _lack(self) -> str:
+        topic, rate = self.settings.topic, self.rate
+        if self.last is None or not self.last.status.all():
+            return f"{self.name}: {topic} lacks readings around some triggers: check its driver"
+        late = f" ({1e3 * self.late:.0f} ms after their stamps)" if self.late > 0.1 else ""
+        return (
+            f"{self.name}: {topic} has no readings around the triggers, at {rate:.3g} Hz{late}:"
+            " check its clock and delay, or set a longer stale or wait"
+        )
+
+    def figures(self) -> dict[str, object]:
+        """Figures by name, of the readings and of the newest value at a trigger.
+
+        `rate` [Hz]; `late`, from stamp to arrival [s]; `age` and `spread` of the readings that went
+        into the newest value [s], their number `readings`, and the number of triggers `missing`.
+        """
+        figures: dict[str, object] = {"rate": _rounded(self.rate, 1), "late": _rounded(self.late)}
+        if self.last is not None:
+            figures["age"] = _rounded(float(np.ravel(self.last.age)[0]))
+            figures["spread"] = _rounded(float(np.ravel(self.last.spread)[0]))
+            figures["readings"] = int(np.max(self.last.count))
+        key = self._source
+        return {f"{key}_{name}": value for name, value in figures.items()} | {
+            f"{key}_missing": self.missing
+        }
+
+
+def wrench_mapping(settings: LiveWrenchSettings) -> WrenchDocument:
+    """How a wrench of another driver becomes that of the limb on the socket in {S}.
+
+    Raises:
+        ConfigurationError: If the pose of its frame is not nine and three numbers, or no rotation.
+    """
+    if len(settings.rotation) != 9 or len(settings.translation) != 3:
+        counts = f"{len(settings.rotation)} and {len(settings.translation)}"
+        fact = f"align_node: wrench.rotation and wrench.translation have {counts} numbers"
+        raise ConfigurationError(fact, "give nine, row by row, and three")
+    rows = np.array(settings.rotation).reshape(3, 3).tolist()
+    given = {"rotation": rows, "translation": [*settings.translation]}
+    try:
+        pose = convert(given, PoseDocument)
+    except TestbedError as error:
+        raise ConfigurationError(f"align_node: wrench: {error.fact}", error.hint) from None
+    return WrenchDocument(of=settings.of, pose=pose)
+
+
+def _rounded(value: float, digits: int = 5) -> float:
+    return round(value, digits) if math.isfinite(value) else math.nan

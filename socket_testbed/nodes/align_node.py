@@ -1,0 +1,156 @@
+"""Align node: measurements of other drivers, brought to each trigger.
+
+Subscribes: trigger, and the topics that its settings name. Publishes: load_cell/wrench,
+mocap/socket/pose, mocap/pylon/pose, clusters/capacitance (those that come from other drivers), tf,
+tf_static, /diagnostics.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from socket_testbed import clocks
+from socket_testbed.alignment.align import Aligned
+from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
+from socket_testbed.live.sources import StreamedSource, wrench_mapping
+from socket_testbed.nodes.base import ERROR, OK, SAMPLES, WARN, Inbox, TestbedNode
+from socket_testbed.nodes.foreign_topics import ForeignTopic
+from socket_testbed.settings.alignment import NONE, AlignSettings
+from socket_testbed.trials import foreign
+from socket_testbed.trials.bag import RawMessage
+from socket_testbed.trials.imported import in_load_cell
+from socket_testbed.wire.messages import wrench_packer
+from socket_testbed.wire.topics import TRIGGER, WRENCH, full_name
+
+_POLL_PERIOD = 0.005  # [s]; of looks at what has arrived
+_LOOK_PERIOD = 0.5  # [s]; of looks for publishers
+_SETTLING_TIME = 5.0  # [s]; for the drivers to answer; then the testbed starts without them
+_MISSING_WRENCH = np.full(6, np.nan)
+
+
+class AlignNode(TestbedNode[AlignSettings]):
+    """Brings sources of other drivers to each trigger; a source without a value is missing (NaN).
+
+    Publishes, with the stamp of the trigger, what the testbed's own drivers would.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("align_node", AlignSettings, settle=_SETTLING_TIME)
+        settings = self.settings
+        self.samples = 0  # triggers so far
+        self._trigger_time = TriggerTime(SteadyClock())
+        self._trigger_period = TriggerPeriod()
+        self._inbox = Inbox(self.get_name(), self.get_namespace(), {})
+        self._mapping = wrench_mapping(settings.wrench)
+        self._sources: dict[str, StreamedSource] = {}
+        self._topics: dict[str, ForeignTopic] = {}
+        self._wrong: dict[str, str] = {}  # what is wrong with a topic, by source
+        for source in foreign.SOURCES:
+            own = settings.sources[source]
+            if own.is_foreign:
+                self._sources[source] = StreamedSource(source, own)
+                self._topics[source] = self._topic(source, own.topic)
+        self._publish: dict[str, Callable[[int, Aligned | None], None]] = {}
+        if settings.wrench.topic:
+            self._send_wrench = self.sender(WRENCH, wrench_packer())
+            self._publish["wrench"] = self._publish_wrench
+        self._due: list[tuple[int, float]] = []
+        self._stopping = threading.Event()
+        self._aligning = threading.Thread(target=self._run, name="align")
+        self.follow(TRIGGER, self._on_trigger)
+        self._aligning.start()
+
+    def _topic(self, source: foreign.Source, topic: str) -> ForeignTopic:
+        """The topic of a source, which must not be one that this node publishes."""
+        if topic.startswith(foreign.TRANSFORM):
+            return ForeignTopic(self._inbox.node, "/tf", (foreign.TRANSFORMS,))
+        name = full_name(topic, self.get_namespace())
+        return ForeignTopic(self._inbox.node, name, foreign.KINDS[source])
+
+    def close(self) -> None:
+        """Stop aligning."""
+        self._stopping.set()
+        self._aligning.join()
+        self._inbox.close()
+        super().close()
+
+    def figures(self) -> dict[str, object]:
+        """The number of triggers, and the figures of each source, see `StreamedSource.figures`."""
+        own = [source.figures() for source in self._sources.values()]
+        return {
+            SAMPLES: self.samples,
+            **{key: value for part in own for key, value in part.items()},
+        }
+
+    def check(self) -> None:
+        """Report the worst state of a source."""
+        if not self._aligning.is_alive():
+            self.report(ERROR, "it stopped aligning: see what it printed, and start it again")
+            return
+        now = self._now()
+        states = [
+            (ERROR, f"{source.name}: {wrong}")
+            if (wrong := self._wrong.get(name))
+            else source.health(now)
+            for name, source in self._sources.items()
+        ]
+        worst = max((level for level, _ in states), default=OK)
+        texts = [text for level, text in states if level >= min(worst, WARN)]
+        self.report(worst, "; ".join(texts) or "no source of another driver")
+
+    def _now(self) -> int:
+        """The present time on the clock of the triggers' stamps [ns]."""
+        return self._trigger_time.stamp(clocks.monotonic())
+
+    def _on_trigger(self, stamp: int, sequence: Any) -> None:
+        """Queue a trigger, given its stamp since the epoch [ns] and number."""
+        self._trigger_time.steady(stamp, clocks.monotonic())
+        self._due.append((stamp, self._trigger_period.add(stamp, int(sequence))))
+
+    def _run(self) -> None:
+        """Take what has arrived, and publish what is complete, until the node closes."""
+        with self.until_ros_ends():
+            look = 0.0
+            while not self._stopping.wait(clocks.real(_POLL_PERIOD)):
+                if (now := clocks.monotonic()) >= look:
+                    look = now + _LOOK_PERIOD
+                    self._wrong = {name: own.look() for name, own in self._topics.items()}
+                self._take()
+                self._send_due()
+
+    def _take(self) -> None:
+        """Hand what has arrived to the sources."""
+        for name, topic in self._topics.items():
+            messages = [
+                RawMessage(topic.name, topic.type, arrival, data)
+                for arrival, data in topic.take(self._now)
+            ]
+            self._sources[name].receive(messages)
+
+    def _send_due(self) -> None:
+        """Publish the values at the triggers that need not wait any longer."""
+        due, self._due = self._due, []
+        self.samples += len(due)
+        settings = self.settings
+        for name, publish in self._publish.items():
+            if settings.sources[name].topic == NONE:
+                for stamp, _ in due:
+                    publish(stamp, None)
+                continue
+            source = self._sources[name]
+            source.settings = settings.sources[name]
+            for stamp, period in due:
+                source.trigger(stamp, period)
+            for stamp, value in source.due(self._now(), settings.wait):
+                publish(stamp, value)
+
+    def _publish_wrench(self, stamp: int, value: Aligned | None) -> None:
+        """Publish load_cell/wrench, [M; F] in {S} [N m, N]."""
+        wrench = _MISSING_WRENCH
+        if value is not None:
+            wrench = in_load_cell(value.values, self._mapping)[0]
+        self._send_wrench(stamp, wrench)
