@@ -134,7 +134,7 @@ def doctor(call: calls.Doctor) -> None:
             for name, value in faults.items():
                 world.faults.switch(name, value)
         if call.press:
-            clusters = testbed.settings.cluster_node.names
+            clusters = testbed.settings.cluster_names
             if user is not None:
                 raise user
             findings = list(press_test(testbed, partial(_ask, world, clusters)))
@@ -154,7 +154,7 @@ def doctor(call: calls.Doctor) -> None:
 
 def _check_faults(faults: Mapping[str, float], testbed: bringup.Testbed) -> None:
     """Refuse a fault of a cluster that there is not."""
-    count = len(testbed.settings.cluster_node.names)
+    count = len(testbed.settings.cluster_names)
     for name, value in faults.items():
         if value > count and (name == "limb.out" or "number of the cluster" in FAULTS[name]):
             hint = f"give 1 to {count}: {name} takes {FAULTS[name]}"

@@ -46,8 +46,12 @@ def find_user(settings: TestbedSettings) -> DeviceBusyError | None:
 
     A bus that is not there or not permitted counts as free: its node reports it.
     """
-    names = {f"i2c-{number}" for number in settings.cluster_node.buses}
-    for name in [*sorted(names), f"spidev{settings.load_cell_node.device}"]:
+    names: list[str] = []
+    if "cluster_node" in settings.own_nodes:
+        names += sorted({f"i2c-{number}" for number in settings.cluster_node.buses})
+    if "load_cell_node" in settings.own_nodes:
+        names.append(f"spidev{settings.load_cell_node.device}")
+    for name in names:
         with suppress(OSError):
             file = os.open(_DEVICES / name, os.O_RDWR | os.O_NONBLOCK)
             try:

@@ -7,8 +7,10 @@ alignment are the same.
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import cast
 
 import numpy as np
 
@@ -16,16 +18,21 @@ from socket_testbed.alignment.align import Aligned, Series, SourceBuffer
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
 from socket_testbed.alignment.source_clock import RunningClock
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers import ERROR, OK, RECENT, WARN
+from socket_testbed.calibration.model import Calibration
 from socket_testbed.documents import convert
+from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.geometry.pose import PoseDocument
 from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.settings.alignment import (
+    OWN,
+    AlignSettings,
     LiveClusterSettings,
     LiveSourceSettings,
     LiveWrenchSettings,
 )
+from socket_testbed.settings.options import WrenchOf
+from socket_testbed.simulation.sensors import invert_calibration
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.imported import WrenchDocument
@@ -35,6 +42,8 @@ _SILENT = 1.0  # [s]; without a message, or
 _SILENT_STEPS = 5.0  # so many usual steps of the source
 _DISORDER = 10.0  # [s]; for which the largest disorder of stamps counts
 _AHEAD = -0.002  # [s]; arrival minus stamp, below which the clock of a source is ahead
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_CHANNELS = 4  # of a cluster
 _NOTHING = np.empty(0, np.int64)
 
 
@@ -213,33 +222,31 @@ class StreamedSource:
         Args:
             now: The present time [ns].
         """
-        topic, fault = self.settings.topic, self._fault
-        if fault[0] and now - fault[1] < RECENT * _SECOND:
-            return ERROR, fault[0]
-        if not self._heard:
-            return ERROR, (
-                f"{self.name}: nothing arrives on {topic}: start its driver, or check the topic and"
-                " its ROS_DOMAIN_ID"
-            )
-        rate = self.rate
-        silent = (now - self._heard) / _SECOND
-        if silent > max(_SILENT, _SILENT_STEPS / rate if rate > 0.0 else 0.0):
-            return ERROR, f"{self.name}: {topic} is silent for {silent:.1f} s: check its driver"
-        if self._lacked and now - self._lacked < RECENT * _SECOND:
-            return WARN, self._lack()
-        late = self.late
-        if self.clock.is_another:
-            return WARN, (
-                f"{self.name}: the clock of {topic} is {late:+.3f} s behind this machine's: its"
-                " stamps are corrected by their arrival; synchronise the clocks"
-            )
-        if late < _AHEAD:
-            return WARN, (
-                f"{self.name}: the stamps of {topic} are {-1e3 * late:.0f} ms ahead of their"
-                " arrival: synchronise the clocks"
-            )
+        for level, text in self._findings(now):
+            return level, text
         stamps = ", no stamps" if self.unstamped else ""
-        return OK, f"{self.name} at {rate:.3g} Hz{stamps}"
+        return OK, f"{self.name} at {self.rate:.3g} Hz{stamps}"
+
+    def _findings(self, now: int) -> Iterator[tuple[int, str]]:
+        """What is wrong, the worst first: level, and fact and hint in one line."""
+        topic, (fault, noted) = self.settings.topic, self._fault
+        if fault and now - noted < RECENT * _SECOND:
+            yield ERROR, fault
+        if not self._heard:
+            hint = "start its driver, or check the topic's name and the ROS_DOMAIN_ID"
+            yield ERROR, f"{self.name}: nothing arrives on {topic}: {hint}"
+        silent, rate = (now - self._heard) / _SECOND, self.rate
+        if silent > max(_SILENT, _SILENT_STEPS / rate if rate > 0.0 else 0.0):
+            yield ERROR, f"{self.name}: {topic} is silent for {silent:.1f} s: check its driver"
+        if self._lacked and now - self._lacked < RECENT * _SECOND:
+            yield WARN, self._lack()
+        if self.clock.is_another:
+            fact = f"{self.name}: the clock of {topic} is {self.late:+.3f} s behind this machine's"
+            hint = "its stamps are corrected by their arrival; synchronise the clocks"
+            yield WARN, f"{fact}: {hint}"
+        if self.late < _AHEAD:
+            fact = f"{self.name}: the stamps of {topic} are {-1e3 * self.late:.0f} ms ahead"
+            yield WARN, f"{fact} of their arrival: synchronise the clocks"
 
     @property
     def late(self) -> float:
@@ -273,6 +280,63 @@ class StreamedSource:
         }
 
 
+def as_capacitances(
+    values: FloatArray, names: Sequence[str], calibration: Calibration
+) -> FloatArray:
+    """Capacitances of clusters, from their stresses by the calibration turned round.
+
+    Args:
+        values: Stresses normal (positive in compression), shear x and y in the cluster's own frame,
+            shape (N, C, 3) [Pa]; capacitances, shape (N, C, 4) [pF], are returned as they are.
+        names: Names of the C clusters, which the calibration knows.
+        calibration: Calibration of the clusters.
+
+    Returns:
+        Capacitances by converter input, shape (N, C, 4) [pF]; NaN where a stress is missing.
+    """
+    if values.shape[2] == _CHANNELS:
+        return values
+    found = np.full((*values.shape[:2], _CHANNELS), np.nan)
+    for column, name in enumerate(names):
+        known = np.isfinite(values[:, column]).all(axis=1)
+        own = calibration.clusters[name]
+        found[known, column] = invert_calibration(own, values[known, column])
+    return found
+
+
+def check_sources(settings: AlignSettings) -> None:
+    """Check that the sources of other drivers fit together, before anything starts.
+
+    Raises:
+        ConfigurationError: One pose alone is that of another driver, a transform is no
+            `tf:PARENT/CHILD` or is no pose, two sources have one topic, or the pose of the wrench's
+            frame is wrong.
+    """
+    wrench_mapping(settings.wrench)
+    poses = settings.socket_pose.topic, settings.pylon_pose.topic
+    if (poses[0] == OWN) != (poses[1] == OWN):
+        lacking = "socket_pose" if poses[0] == OWN else "pylon_pose"
+        raise ConfigurationError(
+            f"align_node: {lacking}.topic is empty, and the other pose is another driver's",
+            "name its topic as well, or none",
+        )
+    named: dict[str, str] = {}
+    for name, own in settings.sources.items():
+        if not own.is_foreign:
+            continue
+        if own.topic.startswith(foreign.TRANSFORM):
+            parent, _, child = own.topic.removeprefix(foreign.TRANSFORM).strip("/").partition("/")
+            if not name.endswith("pose") or not parent or not child:
+                fact = f"align_node: {name}.topic is '{own.topic}'"
+                raise ConfigurationError(fact, "give a topic, or for a pose tf:PARENT/CHILD")
+        elif not _TOPIC.fullmatch(own.topic):
+            fact = f"align_node: {name}.topic is '{own.topic}', which is no name of a topic"
+            raise ConfigurationError(fact, "give one such as /ft_sensor/wrench")
+        if (other := named.setdefault(own.topic.strip("/"), name)) != name:
+            fact = f"align_node: {other}.topic and {name}.topic are both {own.topic}"
+            raise ConfigurationError(fact, "give each source a topic of its own")
+
+
 def wrench_mapping(settings: LiveWrenchSettings) -> WrenchDocument:
     """How a wrench of another driver becomes that of the limb on the socket in {S}.
 
@@ -289,7 +353,7 @@ def wrench_mapping(settings: LiveWrenchSettings) -> WrenchDocument:
         pose = convert(given, PoseDocument)
     except TestbedError as error:
         raise ConfigurationError(f"align_node: wrench: {error.fact}", error.hint) from None
-    return WrenchDocument(of=settings.of, pose=pose)
+    return WrenchDocument(of=cast(WrenchOf, settings.of), pose=pose)
 
 
 def _rounded(value: float, digits: int = 5) -> float:

@@ -9,27 +9,36 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.alignment.align import Aligned
+from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration.model import read_calibration
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
-from socket_testbed.live.sources import StreamedSource, wrench_mapping
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, file_or_packaged
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.live.sources import StreamedSource, as_capacitances, wrench_mapping
 from socket_testbed.nodes.base import ERROR, OK, SAMPLES, WARN, Inbox, TestbedNode
 from socket_testbed.nodes.foreign_topics import ForeignTopic
-from socket_testbed.settings.alignment import NONE, AlignSettings
+from socket_testbed.nodes.frames import FrameBroadcaster
+from socket_testbed.samples import Status
+from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
+from socket_testbed.trials.foreign import TRANSFORM
 from socket_testbed.trials.imported import in_load_cell
-from socket_testbed.wire.messages import wrench_packer
-from socket_testbed.wire.topics import TRIGGER, WRENCH, full_name
+from socket_testbed.wire.messages import capacitance_packer, pose_packer, wrench_packer
+from socket_testbed.wire.topics import CAPACITANCE, POSES, TOPICS, TRIGGER, WRENCH, Topic, full_name
 
 _POLL_PERIOD = 0.005  # [s]; of looks at what has arrived
 _LOOK_PERIOD = 0.5  # [s]; of looks for publishers
 _SETTLING_TIME = 5.0  # [s]; for the drivers to answer; then the testbed starts without them
-_MISSING_WRENCH = np.full(6, np.nan)
+_MISSING_WRENCH, _MISSING_POSE = np.full(6, np.nan), np.full(7, np.nan)
 
 
 class AlignNode(TestbedNode[AlignSettings]):
@@ -46,18 +55,25 @@ class AlignNode(TestbedNode[AlignSettings]):
         self._trigger_period = TriggerPeriod()
         self._inbox = Inbox(self.get_name(), self.get_namespace(), {})
         self._mapping = wrench_mapping(settings.wrench)
+        geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
+        self._calibration = read_calibration(
+            file_or_packaged(settings.calibration, CALIBRATION_FILE)
+        )
+        self._clusters = settings.clusters.names or tuple(geometry.clusters)
+        if settings.clusters.is_foreign:
+            self._calibration.require(self._clusters, "align_node: clusters")
         self._sources: dict[str, StreamedSource] = {}
         self._topics: dict[str, ForeignTopic] = {}
         self._wrong: dict[str, str] = {}  # what is wrong with a topic, by source
         for source in foreign.SOURCES:
             own = settings.sources[source]
             if own.is_foreign:
-                self._sources[source] = StreamedSource(source, own)
+                clusters = self._clusters if source == "clusters" else ()
+                self._sources[source] = StreamedSource(source, own, clusters)
                 self._topics[source] = self._topic(source, own.topic)
         self._publish: dict[str, Callable[[int, Aligned | None], None]] = {}
-        if settings.wrench.topic:
-            self._send_wrench = self.sender(WRENCH, wrench_packer())
-            self._publish["wrench"] = self._publish_wrench
+        self._frames: FrameBroadcaster | None = None
+        self._publish_all(geometry)
         self._due: list[tuple[int, float]] = []
         self._stopping = threading.Event()
         self._aligning = threading.Thread(target=self._run, name="align")
@@ -65,11 +81,35 @@ class AlignNode(TestbedNode[AlignSettings]):
         self._aligning.start()
 
     def _topic(self, source: foreign.Source, topic: str) -> ForeignTopic:
-        """The topic of a source, which must not be one that this node publishes."""
+        """The topic of a source, which must not be one that the testbed publishes."""
         if topic.startswith(foreign.TRANSFORM):
             return ForeignTopic(self._inbox.node, "/tf", (foreign.TRANSFORMS,))
         name = full_name(topic, self.get_namespace())
+        if name in {self.resolve_topic_name(own.name) for own in TOPICS}:
+            raise ConfigurationError(
+                f"align_node: {source}.topic is {topic}, which the testbed publishes itself",
+                "give the other driver's topic another name",
+            )
         return ForeignTopic(self._inbox.node, name, foreign.KINDS[source])
+
+    def _publish_all(self, geometry: SocketGeometry) -> None:
+        """Advertise the topics of all sources that the testbed's own drivers do not measure."""
+        sources = self.settings.sources
+        if sources["wrench"].topic != OWN:
+            self._send_wrench = self.sender(WRENCH, wrench_packer())
+            self._publish["wrench"] = self._publish_wrench
+        if sources["clusters"].topic != OWN:
+            self._names = self._clusters if sources["clusters"].is_foreign else ()
+            self._send_capacitance = self.sender(CAPACITANCE, capacitance_packer(self._names))
+            self._publish["clusters"] = self._publish_clusters
+        poses = {f"{body}_pose": topic for body, topic in POSES.items()}
+        foreign_poses = {name: topic for name, topic in poses.items() if name in self._sources}
+        for name, topic in foreign_poses.items():
+            send = self.sender(topic, pose_packer())
+            self._publish[name] = partial(self._publish_pose, topic, send)
+        on_tf = [name for name in foreign_poses if sources[name].topic.startswith(TRANSFORM)]
+        if foreign_poses and not on_tf:  # those on /tf are there already, under any names
+            self._frames = FrameBroadcaster(self, geometry)
 
     def close(self) -> None:
         """Stop aligning."""
@@ -154,3 +194,21 @@ class AlignNode(TestbedNode[AlignSettings]):
         if value is not None:
             wrench = in_load_cell(value.values, self._mapping)[0]
         self._send_wrench(stamp, wrench)
+
+    def _publish_clusters(self, stamp: int, value: Aligned | None) -> None:
+        """Publish clusters/capacitance [pF]."""
+        capacitance = np.full((len(self._names), 4), np.nan)
+        if value is not None:
+            capacitance = as_capacitances(value.values, self._names, self._calibration)[0]
+        status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
+        self._send_capacitance(stamp, capacitance, status)
+
+    def _publish_pose(
+        self, topic: Topic, send: Callable[[int, FloatArray], None], stamp: int,
+        value: Aligned | None,
+    ) -> None:  # fmt: skip
+        """Publish a body's pose: position [m] and quaternion x, y, z, w in the world."""
+        pose = _MISSING_POSE if value is None else value.values[0]
+        send(stamp, pose)
+        if self._frames is not None:
+            self._frames.move(stamp, {topic: pose})

@@ -1,4 +1,4 @@
-"""Topics of other programs, of types and qualities of service that are known once they are there."""
+"""Topics of other programs, whose types and qualities of service are known once they are there."""
 
 from __future__ import annotations
 

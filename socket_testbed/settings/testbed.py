@@ -19,7 +19,7 @@ from socket_testbed.settings.acquisition import (
     MocapSettings,
     TriggerSettings,
 )
-from socket_testbed.settings.alignment import AlignSettings
+from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
     FitChoices,
@@ -176,6 +176,27 @@ class TestbedSettings(Settings):
     def nodes(self) -> dict[str, Settings]:
         """Settings of each node by its name, such as `trigger_node`."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    @property
+    def cluster_names(self) -> tuple[str, ...]:
+        """Names of the clusters, of the testbed's own chips or of another driver; empty if there are none."""
+        clusters = self.align_node.clusters
+        if clusters.topic == NONE:
+            return ()
+        own = self.cluster_node.names
+        return clusters.names or own if clusters.is_foreign else own
+
+    @property
+    def own_nodes(self) -> tuple[str, ...]:
+        """The nodes of the testbed's own drivers: those whose measurements no other driver makes."""
+        align = self.align_node
+        poses = align.socket_pose.topic, align.pylon_pose.topic
+        own = {
+            "cluster_node": align.clusters.topic == OWN,
+            "load_cell_node": align.wrench.topic == OWN,
+            "mocap_node": poses == (OWN, OWN),
+        }
+        return tuple(name for name, is_own in own.items() if is_own)
 
 
 # These belong to a single run on one machine and are not stored with a trial.

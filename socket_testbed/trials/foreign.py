@@ -15,12 +15,12 @@ from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSer
 from socket_testbed.alignment.source_clock import source_clock
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import TrialError, closest, listed, option_of
+from socket_testbed.settings.alignment import NONE
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.wire import cdr, topics
 
 Source: TypeAlias = Literal["wrench", "socket_pose", "pylon_pose", "clusters"]
 SOURCES: tuple[Source, ...] = get_args(Source)
-NONE = "none"  # a source that is left out on purpose
 TRANSFORM = "tf:"  # begins a source that is a transform, such as tf:world/socket
 
 _WRENCHES = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
