@@ -31,7 +31,7 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip, require_free
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.sources import check_sources
+from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.settings.fields import Settings
@@ -183,6 +183,8 @@ class Testbed:
             given.recorder_node,
             directory=str(self.record.resolve()),
             record=self.at_once,
+            beside=foreign_topics(given.align_node),
+            absent=absent_topics(given.align_node),
             geometry=geometry,
             calibration=calibration,
             parameters=str(stored),

@@ -25,6 +25,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.geometry.pose import PoseDocument
 from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.settings.alignment import (
+    NONE,
     OWN,
     AlignSettings,
     LiveClusterSettings,
@@ -36,6 +37,7 @@ from socket_testbed.simulation.sensors import invert_calibration
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.imported import WrenchDocument
+from socket_testbed.wire import topics
 
 _SECOND = 1_000_000_000  # [ns]
 _SILENT = 1.0  # [s]; without a message, or
@@ -335,6 +337,21 @@ def check_sources(settings: AlignSettings) -> None:
         if (other := named.setdefault(own.topic.strip("/"), name)) != name:
             fact = f"align_node: {other}.topic and {name}.topic are both {own.topic}"
             raise ConfigurationError(fact, "give each source a topic of its own")
+
+
+def foreign_topics(settings: AlignSettings) -> tuple[str, ...]:
+    """Topics of other drivers, as the settings name them; `/tf` for transforms."""
+    named = [own.topic for own in settings.sources.values() if own.is_foreign]
+    return tuple(dict.fromkeys("/tf" if t.startswith(foreign.TRANSFORM) else t for t in named))
+
+
+def absent_topics(settings: AlignSettings) -> tuple[str, ...]:
+    """The testbed's topics that nobody measures: the poses of bodies that there are not."""
+    return tuple(
+        topic.name
+        for body, topic in topics.POSES.items()
+        if settings.sources[f"{body}_pose"].topic == NONE
+    )
 
 
 def wrench_mapping(settings: LiveWrenchSettings) -> WrenchDocument:

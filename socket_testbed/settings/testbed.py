@@ -120,6 +120,8 @@ class RecorderSettings(Settings):
     parameters: str = fixed("", "path of the testbed.yaml to store; empty: the package's own [-]")
     metadata: str = fixed("", "path of a trial.yaml as template for every trial; empty: none [-]")
     everything: bool = fixed(False, "also record the maps, which a replay recomputes [-]")
+    beside: tuple[str, ...] = fixed((), "topics of other programs to record as well [-]")
+    absent: tuple[str, ...] = fixed((), "topics that this testbed does not measure [-]")
     next: NextTrialSettings = NextTrialSettings()
     flush_period: float = fixed(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
 
@@ -179,7 +181,7 @@ class TestbedSettings(Settings):
 
     @property
     def cluster_names(self) -> tuple[str, ...]:
-        """Names of the clusters, of the testbed's own chips or of another driver; empty if there are none."""
+        """Names of the clusters, measured by own chips or another driver; empty without any."""
         clusters = self.align_node.clusters
         if clusters.topic == NONE:
             return ()
@@ -188,7 +190,7 @@ class TestbedSettings(Settings):
 
     @property
     def own_nodes(self) -> tuple[str, ...]:
-        """The nodes of the testbed's own drivers: those whose measurements no other driver makes."""
+        """The nodes of own drivers whose measurements no other driver makes."""
         align = self.align_node
         poses = align.socket_pose.topic, align.pylon_pose.topic
         own = {

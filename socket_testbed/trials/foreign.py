@@ -38,6 +38,7 @@ KINDS: dict[Source, tuple[str, ...]] = {
     "pylon_pose": _POSES,
     "clusters": _CLUSTERS,
 }
+TYPES = (*_WRENCHES, *_POSES, *_CLUSTERS, TRANSFORMS)  # all that can be read
 _WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics
     "socket_pose": ("socket",),
     "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
