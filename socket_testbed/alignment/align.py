@@ -19,7 +19,6 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray, 
 from socket_testbed.arrays import usual_period as median_step
 from socket_testbed.geometry.pose import weighted_pose
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.settings.alignment import USUAL_STALE, SourceSettings
 
 Series: TypeAlias = WrenchSeries | PoseSeries | ClusterSeries
@@ -83,7 +82,7 @@ def align(
     if period is None:
         step = median_step(triggers)
         period = 1e-9 * step if np.isfinite(step) else 0.0
-    window = averaging_span(settings.window, period)
+    window = settings.span(period)
     vectors = _vectors(series)
     shape = (len(triggers), vectors.shape[1])
     status = np.full(shape, Status.MISSING, np.uint8)
@@ -374,6 +373,12 @@ class SourceBuffer:
         return 1e-9 * median_step(self._times[: self._number])
 
     @property
+    def rate(self) -> float:
+        """Mean rate of the kept readings [Hz]; NaN for fewer than two."""
+        duration = 1e-9 * float(np.ptp(self._times[: self._number])) if self._number else 0.0
+        return (self._number - 1) / duration if duration > 0.0 else float("nan")
+
+    @property
     def newest(self) -> int:
         """Stamp of the newest reading [ns]; 0 without any."""
         return int(self._times[self._number - 1]) if self._number else 0
@@ -391,8 +396,7 @@ class SourceBuffer:
     def _end(self, trigger: int, period: float) -> int:
         """The end of the window around a trigger, by the source's stamps [ns]."""
         settings = self.settings
-        window = 0.0 if settings.method == "last" else averaging_span(settings.window, period)
-        return trigger + round((settings.delay + 0.5 * window) * _SECOND)
+        return trigger + round((settings.delay + 0.5 * settings.span(period)) * _SECOND)
 
     def ready(self, trigger: int, period: float) -> bool:
         """Whether later readings cannot change the value at a trigger.

@@ -23,7 +23,7 @@ from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.results.result import PathLike
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import TriggerSettings, averaging_span
+from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import MAX_DELAY
 from socket_testbed.settings.options import WrenchOf
 from socket_testbed.trials import foreign, imported
@@ -135,7 +135,7 @@ def import_trial(
     record: dict[str, Any] = {"bag": source.name, "triggers": _trigger_record(chosen, triggers)}
     for place, values_of in aligned.items():
         settings = getattr(chosen, place).settings
-        window = averaging_span(settings.window, period)
+        window = settings.span(period)
         record[place] = {
             "topic": sources[place].topic,
             "type": sources[place].type,

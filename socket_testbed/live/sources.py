@@ -23,7 +23,6 @@ from socket_testbed.documents import convert
 from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.geometry.pose import PoseDocument
-from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.settings.alignment import (
     NONE,
     OWN,
@@ -40,6 +39,7 @@ from socket_testbed.trials.imported import WrenchDocument
 from socket_testbed.wire import topics
 
 _SECOND = 1_000_000_000  # [ns]
+_PERIOD_KNOWN = 1.5  # [s]; after the first trigger, at the latest
 _SILENT = 1.0  # [s]; without a message, or
 _SILENT_STEPS = 5.0  # so many usual steps of the source
 _DISORDER = 10.0  # [s]; for which the largest disorder of stamps counts
@@ -87,7 +87,7 @@ class StreamedSource:
         named = settings.names if isinstance(settings, LiveClusterSettings) else ()
         self._reader = foreign.SourceReader(source, settings.topic, named or self._clusters)
         self._buffer: SourceBuffer | None = None
-        self._pending: deque[tuple[int, float]] = deque()  # triggers [ns] and their periods [s]
+        self._pending: deque[int] = deque()  # triggers [ns]
         self._disorder: deque[tuple[int, int]] = deque()  # of messages: arrival, stamps late [ns]
         self._heard = 0  # newest arrival [ns]
         self._fault = ("", 0)  # text, and when [ns]
@@ -96,8 +96,7 @@ class StreamedSource:
     @property
     def rate(self) -> float:
         """Rate of its readings [Hz]; NaN for fewer than two."""
-        step = self._buffer.step if self._buffer else math.nan
-        return 1.0 / step if step > 0.0 else math.nan
+        return self._buffer.rate if self._buffer else math.nan
 
     def receive(self, messages: Sequence[RawMessage]) -> None:
         """Read some messages, in the order of their arrival.
@@ -176,20 +175,17 @@ class StreamedSource:
             return ClusterSeries(_NOTHING, self._clusters, nothing)
         return PoseSeries(_NOTHING, np.empty((0, 3)), np.empty((0, 4)), self.frame)
 
-    def trigger(self, stamp: int, period: float) -> None:
-        """Ask for the value at a trigger.
+    def trigger(self, stamp: int) -> None:
+        """Ask for the value at a trigger, given its time [ns]."""
+        self._pending.append(stamp)
 
-        Args:
-            stamp: Time of the trigger [ns].
-            period: Period of the triggers [s]; 0 while it is unknown.
-        """
-        self._pending.append((stamp, period))
-
-    def due(self, now: int, wait: float) -> list[tuple[int, Aligned | None]]:
+    def due(self, now: int, period: float, wait: float) -> list[tuple[int, Aligned | None]]:
         """The values at triggers that later readings cannot change, or that waited long enough.
 
         Args:
             now: The present time [ns].
+            period: Period of the triggers [s]; 0 while it is unknown, for which the first ones
+                wait.
             wait: Longest wait for a reading, after the trigger, the delay and half the window [s].
 
         Returns:
@@ -198,8 +194,8 @@ class StreamedSource:
         found: list[tuple[int, Aligned | None]] = []
         if self._buffer is not None:
             self._buffer.settings = self.settings
-        while self._pending and self._is_over(*self._pending[0], now, wait):
-            stamp, period = self._pending.popleft()
+        while self._pending and self._is_over(self._pending[0], now, period, wait):
+            stamp = self._pending.popleft()
             value = self._buffer.at(stamp, period) if self._buffer is not None else None
             if value is None or value.status.any():
                 self.missing += 1
@@ -208,11 +204,13 @@ class StreamedSource:
             found.append((stamp, value))
         return found
 
-    def _is_over(self, stamp: int, period: float, now: int, wait: float) -> bool:
+    def _is_over(self, stamp: int, now: int, period: float, wait: float) -> bool:
         """Whether no later reading counts for a trigger."""
+        if period == 0.0 and now < stamp + round(_PERIOD_KNOWN * _SECOND):
+            return False
         if self._buffer is None:
-            span = averaging_span(self.settings.window, period)
-            return now > stamp + round((self.settings.delay + 0.5 * span + wait) * _SECOND)
+            reach = self.settings.delay + 0.5 * self.settings.span(period)
+            return now > stamp + round((reach + wait) * _SECOND)
         disorder = self._disorder[0][1] if self._disorder else 0
         if self._buffer.ready(stamp + disorder, period):
             return True

@@ -37,6 +37,7 @@ from socket_testbed.wire.topics import CAPACITANCE, POSES, TOPICS, TRIGGER, WREN
 
 _POLL_PERIOD = 0.005  # [s]; of looks at what has arrived
 _LOOK_PERIOD = 0.5  # [s]; of looks for publishers
+_INTERVALS = 25  # of the trigger, whose median is its period
 _SETTLING_TIME = 5.0  # [s]; for the drivers to answer; then the testbed starts without them
 _MISSING_WRENCH, _MISSING_POSE = np.full(6, np.nan), np.full(7, np.nan)
 
@@ -52,7 +53,8 @@ class AlignNode(TestbedNode[AlignSettings]):
         settings = self.settings
         self.samples = 0  # triggers so far
         self._trigger_time = TriggerTime(SteadyClock())
-        self._trigger_period = TriggerPeriod()
+        self._trigger_period = TriggerPeriod(_INTERVALS)
+        self._period = 0.0  # of the triggers [s]; 0 while unknown
         self._inbox = Inbox(self.get_name(), self.get_namespace(), {})
         self._mapping = wrench_mapping(settings.wrench)
         geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
@@ -74,7 +76,7 @@ class AlignNode(TestbedNode[AlignSettings]):
         self._publish: dict[str, Callable[[int, Aligned | None], None]] = {}
         self._frames: FrameBroadcaster | None = None
         self._publish_all(geometry)
-        self._due: list[tuple[int, float]] = []
+        self._due: list[int] = []
         self._stopping = threading.Event()
         self._aligning = threading.Thread(target=self._run, name="align")
         self.follow(TRIGGER, self._on_trigger)
@@ -149,7 +151,8 @@ class AlignNode(TestbedNode[AlignSettings]):
     def _on_trigger(self, stamp: int, sequence: Any) -> None:
         """Queue a trigger, given its stamp since the epoch [ns] and number."""
         self._trigger_time.steady(stamp, clocks.monotonic())
-        self._due.append((stamp, self._trigger_period.add(stamp, int(sequence))))
+        self._period = self._trigger_period.add(stamp, int(sequence))
+        self._due.append(stamp)
 
     def _run(self) -> None:
         """Take what has arrived, and publish what is complete, until the node closes."""
@@ -178,14 +181,14 @@ class AlignNode(TestbedNode[AlignSettings]):
         settings = self.settings
         for name, publish in self._publish.items():
             if settings.sources[name].topic == NONE:
-                for stamp, _ in due:
+                for stamp in due:
                     publish(stamp, None)
                 continue
             source = self._sources[name]
             source.settings = settings.sources[name]
-            for stamp, period in due:
-                source.trigger(stamp, period)
-            for stamp, value in source.due(self._now(), settings.wait):
+            for stamp in due:
+                source.trigger(stamp)
+            for stamp, value in source.due(self._now(), self._period, settings.wait):
                 publish(stamp, value)
 
     def _publish_wrench(self, stamp: int, value: Aligned | None) -> None:

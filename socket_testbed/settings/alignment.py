@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from socket_testbed.settings.acquisition import MAX_SPAN
+from socket_testbed.settings.acquisition import MAX_SPAN, averaging_span
 from socket_testbed.settings.fields import Settings, fixed, setting
 
 MAX_DELAY = 10.0  # [s]; of a source
@@ -34,6 +34,19 @@ class SourceSettings(Settings):
         f" negative: {USUAL_STALE[1]} usual steps of the source, at least {USUAL_STALE[0]} [s]",
         -1.0, 10.0,
     )  # fmt: skip
+
+    def span(self, period: float) -> float:
+        """Span centred on a trigger whose readings are used [s]; 0 for the method `last`.
+
+        Of the period three digits count: the jitter of a trigger does not move the span, which is
+        the same live and in a recording.
+
+        Args:
+            period: Period of the trigger [s]; 0 while it is not known.
+        """
+        if self.method == "last":
+            return 0.0
+        return averaging_span(self.window, float(f"{period:.3g}"))
 
 
 OWN = ""  # topic of a source that the testbed's own driver measures
