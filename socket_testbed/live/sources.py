@@ -253,6 +253,10 @@ class StreamedSource:
         """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
         return self.clock.clock.offset if self.clock.clock is not None else math.nan
 
+    def age(self, now: int) -> float:
+        """Time since its newest reading [s], at the present time [ns]; NaN without any."""
+        return (now - self._buffer.newest) / _SECOND if self._buffer else math.nan
+
     def _lack(self) -> str:
         topic, rate = self.settings.topic, self.rate
         if self.last is None or not self.last.status.all():

@@ -19,12 +19,11 @@ from socket_testbed.alignment.align import Aligned
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.sources import StreamedSource, as_capacitances, wrench_mapping
 from socket_testbed.nodes.base import ERROR, OK, SAMPLES, WARN, Inbox, TestbedNode
-from socket_testbed.nodes.foreign_topics import ForeignTopic
+from socket_testbed.nodes.foreign_topics import ForeignTopic, foreign_topic
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.samples import Status
 from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
@@ -33,7 +32,7 @@ from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.foreign import TRANSFORM
 from socket_testbed.trials.imported import in_load_cell
 from socket_testbed.wire.messages import capacitance_packer, pose_packer, wrench_packer
-from socket_testbed.wire.topics import CAPACITANCE, POSES, TOPICS, TRIGGER, WRENCH, Topic, full_name
+from socket_testbed.wire.topics import CAPACITANCE, POSES, TRIGGER, WRENCH, Topic
 
 _POLL_PERIOD = 0.005  # [s]; of looks at what has arrived
 _LOOK_PERIOD = 0.5  # [s]; of looks for publishers
@@ -72,7 +71,9 @@ class AlignNode(TestbedNode[AlignSettings]):
             if own.is_foreign:
                 clusters = self._clusters if source == "clusters" else ()
                 self._sources[source] = StreamedSource(source, own, clusters)
-                self._topics[source] = self._topic(source, own.topic)
+                self._topics[source] = foreign_topic(
+                    self._inbox.node, source, own.topic, self.get_namespace()
+                )
         self._publish: dict[str, Callable[[int, Aligned | None], None]] = {}
         self._frames: FrameBroadcaster | None = None
         self._publish_all(geometry)
@@ -81,18 +82,6 @@ class AlignNode(TestbedNode[AlignSettings]):
         self._aligning = threading.Thread(target=self._run, name="align")
         self.follow(TRIGGER, self._on_trigger)
         self._aligning.start()
-
-    def _topic(self, source: foreign.Source, topic: str) -> ForeignTopic:
-        """The topic of a source, which must not be one that the testbed publishes."""
-        if topic.startswith(foreign.TRANSFORM):
-            return ForeignTopic(self._inbox.node, "/tf", (foreign.TRANSFORMS,))
-        name = full_name(topic, self.get_namespace())
-        if name in {self.resolve_topic_name(own.name) for own in TOPICS}:
-            raise ConfigurationError(
-                f"align_node: {source}.topic is {topic}, which the testbed publishes itself",
-                "give the other driver's topic another name",
-            )
-        return ForeignTopic(self._inbox.node, name, foreign.KINDS[source])
 
     def _publish_all(self, geometry: SocketGeometry) -> None:
         """Advertise the topics of all sources that the testbed's own drivers do not measure."""

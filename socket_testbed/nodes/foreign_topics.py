@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
+import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from socket_testbed import clocks
+from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.live.doctor import HeardSource
+from socket_testbed.live.sources import StreamedSource
+from socket_testbed.settings.alignment import AlignSettings
+from socket_testbed.trials import foreign
+from socket_testbed.trials.bag import RawMessage
+from socket_testbed.wire.topics import TOPICS, full_name
 
+_LISTEN_PERIOD = 0.05  # [s]
 _DEPTH = 2000  # [messages]; of a busy moment
 _MAX_AGE = 10.0  # [s]; of a message that waited to be taken
 
@@ -122,3 +132,70 @@ class ForeignTopic:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
+
+
+def foreign_topic(node: Node, source: foreign.Source, topic: str, namespace: str) -> ForeignTopic:
+    """The topic of a source, which must not be one that the testbed publishes.
+
+    Args:
+        node: A node without an executor.
+        source: Which source.
+        topic: Its topic, as the settings name it: absolute, or relative to the namespace; for a
+            pose also `tf:PARENT/CHILD`.
+        namespace: Absolute namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the testbed publishes a topic of that name.
+    """
+    if topic.startswith(foreign.TRANSFORM):
+        return ForeignTopic(node, "/tf", (foreign.TRANSFORMS,))
+    name = full_name(topic, namespace)
+    if name in {full_name(own.name, namespace) for own in TOPICS}:
+        raise ConfigurationError(
+            f"align_node: {source}.topic is {topic}, which the testbed publishes itself",
+            "give the other driver's topic another name",
+        )
+    return ForeignTopic(node, name, foreign.KINDS[source])
+
+
+def hear_sources(
+    settings: AlignSettings, clusters: Sequence[str], namespace: str = "/", within: float = 4.0
+) -> list[HeardSource]:
+    """Listen to the sources of other drivers for a while.
+
+    Args:
+        settings: Their topics.
+        clusters: Names of the testbed's clusters.
+        namespace: Absolute namespace of the testbed.
+        within: How long to listen [s].
+
+    Raises:
+        ConfigurationError: If a topic is one that the testbed publishes.
+    """
+    context = rclpy.Context()
+    # The verb handles Ctrl-C.
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("_doctor", context=context, start_parameter_services=False)
+    clock = SteadyClock()
+    try:
+        heard: list[HeardSource] = []
+        listening: list[ForeignTopic] = []
+        for name in foreign.SOURCES:
+            own = settings.sources[name]
+            if own.is_foreign:
+                listening.append(foreign_topic(node, name, own.topic, namespace))
+                heard.append(HeardSource(StreamedSource(name, own, clusters)))
+        ends = time.monotonic() + within
+        while time.monotonic() < ends:
+            for topic, found in zip(listening, heard, strict=True):
+                found.wrong, found.type = topic.look(), topic.type
+                found.source.receive(
+                    [RawMessage(topic.name, topic.type, *own) for own in topic.take(clock.now)]
+                )
+            time.sleep(_LISTEN_PERIOD)
+        for found in heard:
+            found.ended = clock.now()
+        return heard
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
