@@ -307,10 +307,12 @@ class SourceBuffer:
     Args:
         settings: Delay, window, method and limit of the source. They may be reassigned.
         empty: A series of the source without readings, which gives its kind, frame and clusters.
+        keep: Span of readings to keep at least [s].
     """
 
-    def __init__(self, settings: SourceSettings, empty: Series) -> None:
+    def __init__(self, settings: SourceSettings, empty: Series, keep: float = 0.0) -> None:
         self.settings = settings
+        self._keep = max(_KEPT, keep)
         self._series = empty
         self._columns: list[NDArray[np.float64]] = [values[:0] for values in _columns(empty)]
         self._times: IntArray = np.empty(0, np.int64)
@@ -356,7 +358,9 @@ class SourceBuffer:
     def _make_space(self, time: int) -> None:
         """Drop what is too old for any trigger, and double the space if that is little."""
         settings = self.settings
-        reach = _KEPT + abs(settings.delay) + max(settings.window, 0.0) + max(settings.stale, 0.0)
+        reach = (
+            self._keep + abs(settings.delay) + max(settings.window, 0.0) + max(settings.stale, 0.0)
+        )
         old = int(np.searchsorted(self._times[: self._number], time - round(reach * _SECOND)))
         kept = slice(old, self._number)
         space = max(64, len(self._times), 2 * (self._number - old))

@@ -154,7 +154,7 @@ class Testbed:
             "cluster_node": given.cluster_node,
             "load_cell_node": replace(given.load_cell_node, tare_file=tare),
             "mocap_node": replace(given.mocap_node, geometry=geometry),
-            "align_node": self._align_settings(),
+            "align_node": self._align_settings(folder),
             "calibration_node": CalibrationNodeSettings(calibration=calibration),
             "estimator_node": replace(given.estimator_node, geometry=geometry),
         }
@@ -192,7 +192,7 @@ class Testbed:
         )
         return [GraphNode("recorder_node", recorder, namespace, self.use_sim_time), *nodes]
 
-    def _align_settings(self) -> AlignSettings:
+    def _align_settings(self, folder: Path) -> AlignSettings:
         """The settings of the align node, with the files and clusters of the testbed."""
         given = self.settings.align_node
         return replace(
@@ -200,6 +200,7 @@ class Testbed:
             clusters=replace(given.clusters, names=self.settings.cluster_names),
             geometry=str(self.geometry),
             calibration=str(self.calibration),
+            tare_file=given.tare_file or str(folder / "tare.json"),
         )
 
     def _store_metadata(self, path: Path) -> str:

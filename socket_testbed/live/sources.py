@@ -6,23 +6,31 @@ alignment are the same.
 
 from __future__ import annotations
 
+import json
 import math
 import re
+import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import cast
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, cast
 
 import numpy as np
+from msgspec import Meta
 
 from socket_testbed.alignment.align import Aligned, Series, SourceBuffer
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
 from socket_testbed.alignment.source_clock import RunningClock
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
-from socket_testbed.documents import convert
+from socket_testbed.documents import Document, convert, read_document
 from socket_testbed.drivers import ERROR, OK, RECENT, WARN
-from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.drivers.load_cell.load_cell import iso_time, refuse_tare
+from socket_testbed.errors import ConfigurationError, DeviceError, TestbedError
+from socket_testbed.files import make_folder, write_text
 from socket_testbed.geometry.pose import PoseDocument
+from socket_testbed.settings.acquisition import TareSettings
 from socket_testbed.settings.alignment import (
     NONE,
     OWN,
@@ -45,6 +53,8 @@ _SILENT_STEPS = 5.0  # so many usual steps of the source
 _DISORDER = 10.0  # [s]; for which the largest disorder of stamps counts
 _AHEAD = -0.002  # [s]; arrival minus stamp, below which the clock of a source is ahead
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_MIN_COMPLETE = 0.5  # share of the usual wrenches that a tare needs
+_Component = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _CHANNELS = 4  # of a cluster
 _NOTHING = np.empty(0, np.int64)
 
@@ -58,6 +68,7 @@ class StreamedSource:
         source: Which source.
         settings: Its topic, and how its readings are brought to triggers.
         clusters: Names of the C clusters, whose order the values have; empty for other sources.
+        keep: Span of readings to keep at least [s].
 
     Attributes:
         settings: They may be reassigned: all but the topic and the names take effect.
@@ -74,6 +85,7 @@ class StreamedSource:
         source: foreign.Source,
         settings: LiveSourceSettings,
         clusters: Sequence[str] = (),
+        keep: float = 0.0,
     ) -> None:
         self.settings = settings
         self.name = foreign.in_words(source)
@@ -86,6 +98,8 @@ class StreamedSource:
         self._clusters = tuple(clusters)
         named = settings.names if isinstance(settings, LiveClusterSettings) else ()
         self._reader = foreign.SourceReader(source, settings.topic, named or self._clusters)
+        self._keep = keep
+        self._lock = threading.Lock()  # for the buffer: a tare reads it in another thread
         self._buffer: SourceBuffer | None = None
         self._pending: deque[int] = deque()  # triggers [ns]
         self._disorder: deque[tuple[int, int]] = deque()  # of messages: arrival, stamps late [ns]
@@ -112,7 +126,8 @@ class StreamedSource:
         notes: list[str] = []
         try:
             for stamps, arrivals, values, names in self._reader.parts(messages, notes):
-                self._add(stamps, arrivals, self._in_order(values, names))
+                with self._lock:
+                    self._add(stamps, arrivals, self._in_order(values, names))
         except TestbedError as error:
             notes.append(str(error))
         if notes:
@@ -145,7 +160,7 @@ class StreamedSource:
             self.unstamped = True
             times = arrivals
         if self._buffer is None or self._kind_changed(values):
-            self._buffer = SourceBuffer(self.settings, self._empty(values))
+            self._buffer = SourceBuffer(self.settings, self._empty(values), self._keep)
         columns = [values] if self._source != self._pose else [values[:, :3], values[:, 3:]]
         for row, (time, arrival) in enumerate(zip(times.tolist(), arrivals.tolist(), strict=True)):
             late = self._buffer.add(time, *(column[row] for column in columns))
@@ -253,6 +268,16 @@ class StreamedSource:
         """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
         return self.clock.clock.offset if self.clock.clock is not None else math.nan
 
+    def between(self, start: int, end: int) -> FloatArray:
+        """Values of the readings between two times [ns], shape (n, ...), as they were read."""
+        if self._buffer is None:
+            return np.empty((0, 6))
+        with self._lock:
+            series = self._buffer.series
+            rows = slice(*np.searchsorted(series.times, [start, end]))
+            values = series.positions if isinstance(series, PoseSeries) else series.values
+            return values[rows].copy()
+
     def age(self, now: int) -> float:
         """Time since its newest reading [s], at the present time [ns]; NaN without any."""
         return (now - self._buffer.newest) / _SECOND if self._buffer else math.nan
@@ -282,6 +307,80 @@ class StreamedSource:
         return {f"{key}_{name}": value for name, value in figures.items()} | {
             f"{key}_missing": self.missing
         }
+
+
+class _TareDocument(Document):
+    moment: tuple[_Component, _Component, _Component]
+    force: tuple[_Component, _Component, _Component]
+    time: Annotated[datetime, Meta(tz=True)]
+
+
+class WrenchTare:
+    """The wrench of another driver at no load, stored in a file if a path is given.
+
+    Args:
+        path: The file; empty for none.
+
+    Attributes:
+        wrench: What is subtracted, [M; F] in {S}, shape (6,) [N m, N]; zeros if never tared.
+        time: When it was taken, since the epoch [ns], to a microsecond; 0 if never.
+
+    Raises:
+        ConfigurationError: The file is damaged.
+    """
+
+    def __init__(self, path: str = "") -> None:
+        self._path = Path(path).expanduser() if path else None
+        self.wrench: FloatArray = np.zeros(6)
+        self.time = 0
+        if self._path is not None and self._path.exists():
+            try:
+                stored = read_document(self._path, _TareDocument)
+            except ConfigurationError as error:
+                raise ConfigurationError(error.fact, "remove the file and tare again") from None
+            self.wrench = np.array([*stored.moment, *stored.force])
+            self.time = 1000 * round(1e6 * stored.time.timestamp())
+
+    def take(
+        self, wrenches: FloatArray, rate: float, settings: TareSettings, time: int, forced: bool
+    ) -> FloatArray:
+        """Take the mean of some wrenches as no load.
+
+        Args:
+            wrenches: Wrenches [M; F] of the last `tare_duration`, in {S} and not tared, shape
+                (n, 6) [N m, N].
+            rate: Usual rate of the source [Hz].
+            settings: Duration and limits.
+            time: The present time since the epoch [ns].
+            forced: Whether to remove even a force above `tare_load`.
+
+        Returns:
+            The removed load, what the tared wrench was before, shape (6,) [N m, N].
+
+        Raises:
+            DeviceError: Too few wrenches are there, the load moves, or its force is above
+                `tare_load` and not forced.
+        """
+        known = wrenches[np.isfinite(wrenches).all(axis=1)]
+        expected = rate * settings.tare_duration
+        if len(known) < max(2.0, _MIN_COMPLETE * expected) or not expected > 0.0:
+            raise DeviceError(
+                f"cannot tare: {len(known)} wrenches in the last {settings.tare_duration:g} s",
+                "wait that long, check the load cell's driver, or set a longer tare_duration",
+            )
+        mean = known.mean(axis=0)
+        removed = mean - self.wrench
+        refuse_tare(known, removed, settings, forced)
+        if self._path is not None:
+            content = {
+                "moment": mean[:3].tolist(),
+                "force": mean[3:].tolist(),
+                "time": iso_time(time),
+            }
+            make_folder(self._path.parent)
+            write_text(self._path, json.dumps(content, indent=2) + "\n")
+        self.wrench, self.time = mean, 1000 * (time // 1000)
+        return np.asarray(removed)
 
 
 def as_capacitances(

@@ -1,8 +1,9 @@
 """Align node: measurements of other drivers, brought to each trigger.
 
-Subscribes: trigger, and the topics that its settings name. Publishes: load_cell/wrench,
-mocap/socket/pose, mocap/pylon/pose, clusters/capacitance (those that come from other drivers), tf,
-tf_static, /diagnostics.
+Subscribes: trigger, clusters/stress, recorder/trial, and the topics that its settings name.
+Publishes, of what comes from other drivers: load_cell/wrench, load_cell/raw (the tare alone),
+mocap/socket/pose, mocap/pylon/pose, clusters/capacitance, tf, tf_static, event; /diagnostics.
+Services, for a wrench of another driver: load_cell/tare, load_cell/force_tare.
 """
 
 from __future__ import annotations
@@ -21,18 +22,24 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.live.sources import StreamedSource, as_capacitances, wrench_mapping
+from socket_testbed.live.sources import StreamedSource, WrenchTare, as_capacitances, wrench_mapping
 from socket_testbed.nodes.base import ERROR, OK, SAMPLES, WARN, Inbox, TestbedNode
 from socket_testbed.nodes.foreign_topics import ForeignTopic, foreign_topic
 from socket_testbed.nodes.frames import FrameBroadcaster
+from socket_testbed.nodes.taring import TareServices
 from socket_testbed.samples import Status
 from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.foreign import TRANSFORM
 from socket_testbed.trials.imported import in_load_cell
-from socket_testbed.wire.messages import capacitance_packer, pose_packer, wrench_packer
-from socket_testbed.wire.topics import CAPACITANCE, POSES, TRIGGER, WRENCH, Topic
+from socket_testbed.wire.messages import (
+    capacitance_packer,
+    load_cell_raw_packer,
+    pose_packer,
+    wrench_packer,
+)
+from socket_testbed.wire.topics import CAPACITANCE, LOAD_CELL_RAW, POSES, TRIGGER, WRENCH, Topic
 
 _POLL_PERIOD = 0.005  # [s]; of looks at what has arrived
 _LOOK_PERIOD = 0.5  # [s]; of looks for publishers
@@ -56,6 +63,7 @@ class AlignNode(TestbedNode[AlignSettings]):
         self._period = 0.0  # of the triggers [s]; 0 while unknown
         self._inbox = Inbox(self.get_name(), self.get_namespace(), {})
         self._mapping = wrench_mapping(settings.wrench)
+        self._tare_taken = WrenchTare(settings.tare_file)
         geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
         self._calibration = read_calibration(
             file_or_packaged(settings.calibration, CALIBRATION_FILE)
@@ -70,7 +78,8 @@ class AlignNode(TestbedNode[AlignSettings]):
             own = settings.sources[source]
             if own.is_foreign:
                 clusters = self._clusters if source == "clusters" else ()
-                self._sources[source] = StreamedSource(source, own, clusters)
+                keep = settings.tare_duration if source == "wrench" else 0.0
+                self._sources[source] = StreamedSource(source, own, clusters, keep)
                 self._topics[source] = foreign_topic(
                     self._inbox.node, source, own.topic, self.get_namespace()
                 )
@@ -89,6 +98,9 @@ class AlignNode(TestbedNode[AlignSettings]):
         if sources["wrench"].topic != OWN:
             self._send_wrench = self.sender(WRENCH, wrench_packer())
             self._publish["wrench"] = self._publish_wrench
+        if "wrench" in self._sources:
+            self._send_raw = self.sender(LOAD_CELL_RAW, load_cell_raw_packer())
+            self._taring = TareServices(self, self._tare, self._trigger_time, lambda: self._period)
         if sources["clusters"].topic != OWN:
             self._names = self._clusters if sources["clusters"].is_foreign else ()
             self._send_capacitance = self.sender(CAPACITANCE, capacitance_packer(self._names))
@@ -181,11 +193,20 @@ class AlignNode(TestbedNode[AlignSettings]):
                 publish(stamp, value)
 
     def _publish_wrench(self, stamp: int, value: Aligned | None) -> None:
-        """Publish load_cell/wrench, [M; F] in {S} [N m, N]."""
-        wrench = _MISSING_WRENCH
+        """Publish load_cell/wrench, [M; F] in {S}, tared [N m, N], and its tare."""
+        tare, wrench = self._tare_taken, _MISSING_WRENCH
         if value is not None:
-            wrench = in_load_cell(value.values, self._mapping)[0]
+            wrench = in_load_cell(value.values, self._mapping)[0] - tare.wrench
         self._send_wrench(stamp, wrench)
+        if "wrench" in self._sources:
+            self._send_raw(stamp, _MISSING_WRENCH, tare.wrench, tare.time, Status.MISSING)
+
+    def _tare(self, stamp: int, forced: bool) -> FloatArray:
+        """Tare at the present time since the epoch [ns]; returns the removed load [N m, N]."""
+        source, settings = self._sources["wrench"], self.settings
+        start = stamp - round(1e9 * settings.tare_duration)
+        wrenches = in_load_cell(source.between(start, stamp), self._mapping)
+        return self._tare_taken.take(wrenches, source.rate, settings, stamp, forced)
 
     def _publish_clusters(self, stamp: int, value: Aligned | None) -> None:
         """Publish clusters/capacitance [pF]."""

@@ -102,7 +102,24 @@ class ClusterSettings(Settings):
 
 
 @dataclass(frozen=True)
-class LoadCellSettings(Settings):
+class TareSettings(Settings):
+    """How a wrench is tared."""
+
+    tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, MAX_TARE)
+    tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
+    tare_moment: float = setting(0.2, "largest deviation of a moment while taring [N m]", 1e-4, 1e2)
+    tare_load: float = setting(
+        40.0, "largest force that an unforced tare removes; a tenth of the lightest person's weight"
+        " [N]", 1.0, 1e5,
+    )  # fmt: skip
+    tare_pressure: float = setting(
+        5e3, "largest normal stress of a cluster at an unforced tare [Pa]", 100.0, 1e7
+    )
+    tare_file: str = fixed("", "file that keeps the tare across restarts; empty: none [-]")
+
+
+@dataclass(frozen=True)
+class LoadCellSettings(TareSettings):
     """Parameters of the load-cell node."""
 
     device: str = fixed("0.0", "bus and chip select N.M of /dev/spidevN.M [-]")
@@ -144,17 +161,6 @@ class LoadCellSettings(Settings):
         -1.0, "span centred on a trigger to average its wrench, if the window is shorter;"
         f" negative: the trigger's period, at most {MAX_SPAN}; 0: the window alone [s]", -1.0, 0.5,
     )  # fmt: skip
-    tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, MAX_TARE)
-    tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
-    tare_moment: float = setting(0.2, "largest deviation of a moment while taring [N m]", 1e-4, 1e2)
-    tare_load: float = setting(
-        40.0, "largest force that an unforced tare removes; a tenth of the lightest person's weight"
-        " [N]", 1.0, 1e5,
-    )  # fmt: skip
-    tare_pressure: float = setting(
-        5e3, "largest normal stress of a cluster at an unforced tare [Pa]", 100.0, 1e7
-    )
-    tare_file: str = fixed("", "file that keeps the tare across restarts; empty: none [-]")
     scheduling: SchedulingSettings = SchedulingSettings()
 
 

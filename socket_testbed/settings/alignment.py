@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from socket_testbed.settings.acquisition import MAX_SPAN, averaging_span
+from socket_testbed.settings.acquisition import MAX_SPAN, TareSettings, averaging_span
 from socket_testbed.settings.fields import Settings, fixed, setting
 
 MAX_DELAY = 10.0  # [s]; of a source
@@ -98,7 +98,7 @@ class LiveClusterSettings(LiveSourceSettings):
 
 
 @dataclass(frozen=True)
-class AlignSettings(Settings):
+class AlignSettings(TareSettings):
     """Parameters of the align node: sources of other drivers, brought to the trigger."""
 
     wrench: LiveWrenchSettings = LiveWrenchSettings()
@@ -113,7 +113,6 @@ class AlignSettings(Settings):
     calibration: str = fixed(
         "", "path of calibration.yaml, for stresses; empty: the package's own [-]"
     )
-    tare_file: str = fixed("", "file that keeps the tare across restarts; empty: none [-]")
 
     @property
     def sources(self) -> dict[str, LiveSourceSettings]:
