@@ -467,10 +467,7 @@ def wrench_mapping(settings: LiveWrenchSettings) -> WrenchDocument:
         raise ConfigurationError(fact, "give nine, row by row, and three")
     rows = np.array(settings.rotation).reshape(3, 3).tolist()
     given = {"rotation": rows, "translation": [*settings.translation]}
-    try:
-        pose = convert(given, PoseDocument)
-    except TestbedError as error:
-        raise ConfigurationError(f"align_node: wrench: {error.fact}", error.hint) from None
+    pose = convert(given, PoseDocument, "align_node: wrench")
     return WrenchDocument(of=cast(WrenchOf, settings.of), pose=pose)
 
 

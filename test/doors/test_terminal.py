@@ -192,7 +192,7 @@ def make_testbed(**settings: Any) -> Any:
         "cluster_node": ClusterSettings(),
         "mocap_node": MocapSettings(server="10.0.0.5"),
     }
-    settings = SimpleNamespace(**{**nodes, **settings})
+    settings = replace(TestbedSettings(), **{**nodes, **settings})
     return SimpleNamespace(settings=settings, simulation=None, namespace="/")
 
 

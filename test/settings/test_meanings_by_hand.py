@@ -28,14 +28,16 @@ UNITS = {
     "N, N m per mV/V": "load_cell.matrix",
     "N, N m": "load_cell.full_scale",
     "N": """
-        load_cell.tare_force align.tare_force load_cell.tare_load align.tare_load estimator.plateau.force_change
+        load_cell.tare_force align.tare_force load_cell.tare_load align.tare_load
+        estimator.plateau.force_change
         estimator.plateau.force_drift estimator.plateau.cluster_change
         estimator.plateau.cluster_drift estimator.plateau.least_force
         estimator.force_map.normal_deviation estimator.force_map.force_error
         estimator.force_map.cluster_error
     """,
     "N m": """
-        load_cell.tare_moment align.tare_moment estimator.plateau.moment_change estimator.plateau.moment_drift
+        load_cell.tare_moment align.tare_moment estimator.plateau.moment_change
+        estimator.plateau.moment_drift
         estimator.force_map.moment_error
     """,
     "N/m": """
