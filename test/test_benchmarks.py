@@ -14,6 +14,10 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 # The words of the smallest size, as in a shell, and the starts of rows with numbers.
 SMALLEST = {
+    "benchmark_alignment.py": (
+        "--seeds 1 --duration 5",
+        ("| 4 Hz | force |", "| 25 Hz | position |", "| 25 Hz | 50 ms |"),
+    ),
     "benchmark_drivers.py": (
         "--rate 20 --duration 1",
         ("clusters", "load cell", "motion capture", "physics"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,7 +12,8 @@ import msgspec
 import numpy as np
 
 from socket_testbed.alignment.align import Aligned, align
-from socket_testbed.alignment.series import ClusterSeries
+from socket_testbed.alignment.delay import Delay, find_delay
+from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
 from socket_testbed.alignment.triggers import triggers_at
 from socket_testbed.api.trials import as_path, open_trial
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period
@@ -27,7 +29,7 @@ from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import MAX_DELAY
 from socket_testbed.settings.options import WrenchOf
 from socket_testbed.trials import foreign, imported
-from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.trial import Trial, read_configuration
 
 _CLEAR_LOAD = 50.0  # [N]; above which the load shows the sign of the wrench
@@ -44,7 +46,7 @@ def import_trial(
     names: Sequence[str] = (),
     rate: float | None = None,
     trigger: str | None = None,
-    delay: Iterable[str] | Mapping[str, float] = (),
+    delay: Iterable[str] | Mapping[str, float | str] = (),
     wrench_of: WrenchOf | None = None,
     mapping: PathLike | None = None,
     geometry: PathLike | None = None,
@@ -72,7 +74,8 @@ def import_trial(
             trigger is given).
         trigger: Topic whose stamps are the triggers.
         delay: Delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the
-            measurement [s].
+            measurement [s]; auto finds it against the load, from a minute of brisk pushing, see
+            `alignment.delay.find_delay`.
         wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
             socket on the limb, which is negated (default: limb).
         mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
@@ -100,10 +103,35 @@ def import_trial(
     }
     chosen = _mapping(as_path(mapping), given, _delays(delay), names, wrench_of)
     chosen = _with_triggers(chosen, rate, trigger)
-    files = as_path(geometry), as_path(calibration)
-    configuration = read_configuration(*files)
-    socket = read_socket(file_or_packaged(files[0], SOCKET_FILE))
-    coefficients = read_calibration(file_or_packaged(files[1], CALIBRATION_FILE))
+    recording = _read_bag(source, chosen, notify)
+    return trial_of(
+        recording, output, chosen, as_path(geometry), as_path(calibration), notify=notify
+    )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What other sensors recorded, whether in a bag or in tables.
+
+    Attributes:
+        name: Name of the bag or of the first table, for the record.
+        sources: The measurements, on one clock.
+        triggers: Times of the triggers of a topic, shape (N,) [ns]; None for the mapping's rate.
+        messages: The messages from which the measurements come; the trial stores them unchanged.
+        files: The tables from which they come, by name; the trial stores them unchanged.
+    """
+
+    name: str
+    sources: Mapping[foreign.Source, foreign.ForeignSource]
+    triggers: IntArray | None = None
+    messages: Sequence[RawMessage] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def _read_bag(
+    source: Path, chosen: imported.SourceMapping, notify: Callable[[str], None]
+) -> Recording:
+    """What a bag's topics measured."""
     with BagReader(source) as reader:
         for note in reader.notes:
             notify(note)
@@ -114,54 +142,159 @@ def import_trial(
             fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
             raise TrialError(fact, closest(chosen.trigger, known))
         received = foreign.read_messages(reader, found, chosen.trigger)
-    for lacking in foreign.SOURCES:
-        if lacking not in found:
-            notify(foreign.LACKING[lacking])
-    sources: dict[str, foreign.ForeignSource] = {
+    sources = {
         name: foreign.read_source(name, at, received, chosen.clusters.names)
         for name, at in found.items()
     }
+    triggers = None
+    if chosen.trigger is not None:
+        triggers = foreign.read_stamps(received.get(chosen.trigger, ()))
+        if not len(triggers):
+            raise TrialError(f"{chosen.trigger}: no message can be decoded", "give --rate instead")
+    messages = [message for each in received.values() for message in each]
+    return Recording(source.name, sources, triggers, messages)
+
+
+def trial_of(
+    recording: Recording,
+    path: Path,
+    chosen: imported.SourceMapping,
+    geometry: Path | None = None,
+    calibration: Path | None = None,
+    *,
+    notify: Callable[[str], None],
+) -> Trial:
+    """Make a trial of what other sensors recorded.
+
+    Args:
+        recording: What they recorded.
+        path: Folder of the new trial.
+        chosen: How it is brought to triggers; its topics do not matter here.
+        geometry: A socket.yaml; None for the package's own.
+        calibration: A calibration.yaml; None for the package's own.
+        notify: Called with each note.
+
+    Raises:
+        TrialError: If a source has no value at any trigger, or the sources share no time.
+        ConfigurationError: If a file is wrong, or the folder exists.
+    """
+    configuration = read_configuration(geometry, calibration)
+    socket = read_socket(file_or_packaged(geometry, SOCKET_FILE))
+    coefficients = read_calibration(file_or_packaged(calibration, CALIBRATION_FILE))
+    sources = recording.sources
+    for lacking in foreign.SOURCES:
+        if lacking not in sources:
+            notify(foreign.LACKING[lacking])
     for place, own in sources.items():
         notify(_in_words(place, own))
         for note in own.notes:
             notify(note)
-    triggers = _triggers(chosen, sources, received)
+    delays = _delays_of(sources, chosen, notify)
+    triggers = recording.triggers
+    if triggers is None:
+        assert chosen.rate is not None
+        named = {f"the {foreign.in_words(name)}": own.series for name, own in sources.items()}
+        seconds = {f"the {foreign.in_words(name)}": own.delay for name, own in delays.items()}
+        triggers = triggers_at(chosen.rate, named, seconds)
     period = 1e-9 * usual_period(triggers) if len(triggers) > 1 else 0.0
-    aligned: dict[str, Aligned] = {
-        name: align(own.series, triggers, getattr(chosen, name).settings, period)
-        for name, own in sources.items()
+    settings = {name: getattr(chosen, name).settings(delays[name].delay) for name in sources}
+    aligned: dict[foreign.Source, Aligned] = {
+        name: align(own.series, triggers, settings[name], period) for name, own in sources.items()
     }
     _refuse_nothing(aligned, sources, triggers)
-    record: dict[str, Any] = {"bag": source.name, "triggers": _trigger_record(chosen, triggers)}
-    for place, values_of in aligned.items():
-        settings = getattr(chosen, place).settings
-        window = settings.span(period)
-        record[place] = {
-            "topic": sources[place].topic,
-            "type": sources[place].type,
-            **imported.described(values_of, settings, window),
-        }
+    record: dict[str, Any] = {"from": recording.name, "triggers": _trigger_record(chosen, triggers)}
+    for name, own in sources.items():
+        window = settings[name].span(period)
+        record[name] = {"topic": own.topic, "type": own.type}
+        record[name] |= imported.described(aligned[name], settings[name], window)
+        if getattr(chosen, name).delay == imported.AUTO:
+            ends = delays[name].low, delays[name].high
+            record[name]["delay_interval"] = [round(end, 6) for end in ends]
     record["notes"] = [note for own in sources.values() for note in own.notes]
     if "wrench" in aligned:
         values = imported.in_load_cell(aligned["wrench"].values, chosen.wrench)
-        aligned["wrench"] = _replaced(aligned["wrench"], values)
+        aligned["wrench"] = replace(aligned["wrench"], values=values)
         record["wrench"]["of"] = chosen.wrench.of
         if chosen.wrench.pose is not None:
             record["wrench"]["pose"] = msgspec.to_builtins(chosen.wrench.pose)
         if doubt := _sign_doubt(values, socket, chosen.wrench.of):
             notify(doubt)
     cluster_values = _cluster_values(sources, aligned, coefficients, triggers, notify)
-    originals = (message for each in received.values() for message in each)
+    files = {**configuration, **recording.files}
     imported.write_imported_trial(
-        output, triggers, aligned, cluster_values, [*originals], configuration, record
+        path,
+        triggers,
+        {str(name): own for name, own in aligned.items()},
+        cluster_values,
+        recording.messages,
+        files,
+        record,
     )
-    return open_trial(output, notify=notify)
+    return open_trial(path, notify=notify)
+
+
+def _delays_of(
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    chosen: imported.SourceMapping,
+    notify: Callable[[str], None],
+) -> dict[foreign.Source, Delay]:
+    """Delays of the sources: those stated, and those that the load tells where they are `auto`."""
+    delays: dict[foreign.Source, Delay] = {}
+    sought: list[foreign.Source] = []
+    for name in sources:
+        stated = getattr(chosen, name).delay
+        if stated == imported.AUTO:
+            sought.append(name)
+        else:
+            delays[name] = Delay(stated, stated, stated, 1.0)
+    if not sought:
+        return delays
+    if "wrench" not in sources:
+        fact = f"the delay of the {foreign.in_words(sought[0])} is auto, and there is no wrench"
+        raise TrialError(fact, "state the delay in seconds")
+    followers: tuple[foreign.Source, ...] = "pylon_pose", "clusters"
+    others = [name for name in followers if name in sources]
+    if "wrench" in sought:
+        others = [name for name in others if name not in sought]
+        if not others:
+            raise TrialError(
+                "the delay of the wrench is auto, and no other source with a stated delay moves"
+                " with the load",
+                "state that of the pylon pose or of the clusters, or that of the wrench",
+            )
+        found = _delay_behind_load(others[0], sources)
+        delays["wrench"] = found.reversed.later(delays[others[0]].delay)
+        notify(f"delay of the wrench behind the {foreign.in_words(others[0])}: {found.reversed}")
+    for name in sought:
+        if name == "wrench":
+            continue
+        of: foreign.Source = "clusters" if name == "clusters" else "pylon_pose"
+        if of not in sources:
+            fact = "the delay of the socket pose is auto, and there is no pose of the pylon"
+            raise TrialError(fact, "state the delay in seconds")
+        found = _delay_behind_load(of, sources)
+        delays[name] = found.later(delays["wrench"].delay)
+        notify(f"delay of the {foreign.in_words(name)} behind the wrench: {found}")
+    return delays
+
+
+def _delay_behind_load(
+    name: foreign.Source, sources: Mapping[foreign.Source, foreign.ForeignSource]
+) -> Delay:
+    """Delay of the pylon's pose or the clusters behind the wrench, by their stamps."""
+    load, own = sources["wrench"].series, sources[name].series
+    socket = sources["socket_pose"].series if "socket_pose" in sources else None
+    assert isinstance(load, WrenchSeries) and not isinstance(own, WrenchSeries)
+    if isinstance(own, ClusterSeries):
+        return find_delay(load, own)
+    assert socket is None or isinstance(socket, PoseSeries)
+    return find_delay(load, own, socket)
 
 
 def _mapping(
     file: Path | None,
     given: Mapping[str, str | None],
-    delays: Mapping[str, float],
+    delays: Mapping[str, float | str],
     names: Sequence[str],
     wrench_of: WrenchOf | None,
 ) -> imported.SourceMapping:
@@ -183,7 +316,7 @@ def _mapping(
                 raise ConfigurationError(f"wrench_of is '{wrench_of}'", closest(wrench_of, known))
             changes["of"] = wrench_of
         own = msgspec.structs.replace(getattr(chosen, name), **changes)
-        own.settings  # noqa: B018  (refuses a method or window that is wrong)
+        own.settings(0.0)  # refuses a method or window that is wrong
         chosen = msgspec.structs.replace(chosen, **{name: own})
     return chosen
 
@@ -206,9 +339,9 @@ def _with_triggers(
     return chosen
 
 
-def _delays(given: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
-    """Delays [s] by source, of texts such as `wrench=0.02` or a mapping."""
-    hint = "give a source and seconds, such as wrench=0.02"
+def _delays(given: Iterable[str] | Mapping[str, float | str]) -> dict[str, float | str]:
+    """Delays [s] by source, of texts such as `wrench=0.02` or a mapping; `auto` stays."""
+    hint = "give a source and seconds, such as wrench=0.02, or wrench=auto"
     pairs: list[tuple[str, Any]]
     if isinstance(given, Mapping):
         pairs = [*given.items()]
@@ -217,10 +350,13 @@ def _delays(given: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
         if wrong := [text for text in texts if "=" not in str(text)]:
             raise ConfigurationError(f"delay is '{wrong[0]}'", hint)
         pairs = [(name.strip(), value) for name, _, value in (t.partition("=") for t in texts)]
-    found: dict[str, float] = {}
+    found: dict[str, float | str] = {}
     for name, value in pairs:
         if name not in foreign.SOURCES:
             raise ConfigurationError(f"delay names '{name}'", closest(name, foreign.SOURCES))
+        if value == imported.AUTO:
+            found[name] = value
+            continue
         try:
             seconds = float(value)
         except (TypeError, ValueError):
@@ -239,23 +375,6 @@ def _in_words(name: str, own: foreign.ForeignSource) -> str:
     )
 
 
-def _triggers(
-    chosen: imported.SourceMapping,
-    sources: Mapping[str, foreign.ForeignSource],
-    received: Mapping[str, Sequence[Any]],
-) -> IntArray:
-    """Times of the triggers, shape (N,) [ns]."""
-    if chosen.trigger is not None:
-        triggers = foreign.read_stamps(received.get(chosen.trigger, ()))
-        if not len(triggers):
-            raise TrialError(f"{chosen.trigger}: no message can be decoded", "give --rate instead")
-        return triggers
-    assert chosen.rate is not None
-    delays = {f"the {foreign.in_words(n)}": getattr(chosen, n).delay for n in sources}
-    series = {f"the {foreign.in_words(name)}": own.series for name, own in sources.items()}
-    return triggers_at(chosen.rate, series, delays)
-
-
 def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[str, Any]:
     if chosen.trigger is not None:
         return {"topic": chosen.trigger, "number": len(triggers)}
@@ -263,8 +382,8 @@ def _trigger_record(chosen: imported.SourceMapping, triggers: IntArray) -> dict[
 
 
 def _refuse_nothing(
-    aligned: Mapping[str, Aligned],
-    sources: Mapping[str, foreign.ForeignSource],
+    aligned: Mapping[foreign.Source, Aligned],
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
     triggers: IntArray,
 ) -> None:
     """Refuse a source that has a value at no trigger."""
@@ -277,12 +396,6 @@ def _refuse_nothing(
                 f" around it (they last from {start:.3g} to {end:.3g} s after the first trigger)",
                 "check its clock and delay, or set its stale in a mapping.yaml",
             )
-
-
-def _replaced(aligned: Aligned, values: FloatArray) -> Aligned:
-    return Aligned(
-        values, aligned.status, aligned.count, aligned.age, aligned.spread, aligned.deviation
-    )
 
 
 def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str:
@@ -302,8 +415,8 @@ def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str
 
 
 def _cluster_values(
-    sources: Mapping[str, foreign.ForeignSource],
-    aligned: Mapping[str, Aligned],
+    sources: Mapping[foreign.Source, foreign.ForeignSource],
+    aligned: Mapping[foreign.Source, Aligned],
     calibration: Calibration,
     triggers: IntArray,
     notify: Callable[[str], None],

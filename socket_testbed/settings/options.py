@@ -462,7 +462,7 @@ class ImportOptions(Options):
     )
     delay: Iterable[str] = several(
         "delay of the stamps of wrench, socket_pose, pylon_pose or clusters behind the measurement"
-        " [s]",
+        " [s]; auto finds it against the load, from a minute of brisk pushing",
         metavar="SOURCE=S",
     )
     wrench_of: WrenchOf | None = option(

@@ -75,11 +75,6 @@ class ForeignSource:
     notes: tuple[str, ...]
 
 
-def topic_of(source: str) -> str | None:
-    """The topic that a source is read from; None for a transform, which is on any `/tf`."""
-    return None if source.startswith(TRANSFORM) else source
-
-
 def propose(bag: BagReader, chosen: Mapping[Source, str]) -> dict[Source, str]:
     """The topic of each source: those chosen, and for others what the types and names suggest.
 

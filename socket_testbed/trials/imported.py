@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, field
@@ -28,7 +28,8 @@ RECORD_FILE = "import.yaml"
 _HEADER = "# How this trial was made by 'socket-testbed import': times in s, lengths in m.\n"
 ORIGINAL = "/original"  # ends the name of an original topic that is called like the testbed's
 _DEPTH = 100  # [messages]
-_Delay = Annotated[float, Meta(ge=-MAX_DELAY, le=MAX_DELAY)]
+AUTO = "auto"  # a delay that the load tells
+_Delay = Annotated[float, Meta(ge=-MAX_DELAY, le=MAX_DELAY)] | Literal["auto"]
 
 
 class SourceDocument(Document):
@@ -36,7 +37,7 @@ class SourceDocument(Document):
 
     Attributes:
         topic: Its topic, `tf:PARENT/CHILD` for a pose, or `none`; None to find it.
-        delay: Delay of its stamps behind the measurement [s].
+        delay: Delay of its stamps behind the measurement [s]; `auto` to find it against the load.
         method: `line`, `mean` or `last`, see `SourceSettings`.
         window: Span centred on a trigger whose readings are used; negative: as `SourceSettings`
             [s].
@@ -49,12 +50,13 @@ class SourceDocument(Document):
     window: float = SourceSettings.window
     stale: float = SourceSettings.stale
 
-    @property
-    def settings(self) -> SourceSettings:
-        """How its readings are brought to triggers; checked."""
-        return SourceSettings(
-            delay=self.delay, method=self.method, window=self.window, stale=self.stale
-        )
+    def settings(self, delay: float) -> SourceSettings:
+        """How its readings are brought to triggers; checked.
+
+        Args:
+            delay: The delay, as stated or found [s].
+        """
+        return SourceSettings(delay=delay, method=self.method, window=self.window, stale=self.stale)
 
 
 class WrenchDocument(SourceDocument):
@@ -143,7 +145,7 @@ def write_imported_trial(
         clusters: Names of the clusters, capacitances, shape (N, C, 4) [pF], and the `Status` of
             each.
         originals: The messages from which the trial was made.
-        configuration: The files to store with it, see `read_configuration`.
+        configuration: The files to store with it, by name, see `read_configuration`.
         record: What `import.yaml` states.
 
     Raises:
@@ -192,7 +194,7 @@ def described(aligned: Aligned, settings: SourceSettings, window: float) -> dict
     """
     age = finite_mean(np.abs(aligned.age).ravel(), np.median)
     return {
-        "delay": settings.delay,
+        "delay": round(settings.delay, 6),
         "method": settings.method,
         "window": round(window, 6),
         "readings_per_trigger": finite_mean(aligned.count.ravel().astype(float), np.median),

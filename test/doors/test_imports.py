@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from support.foreign import header, pose_fields, vector, wrench_fields, write_bag
+from support.foreign import header, pose_fields, pushes, vector, wrench_fields, write_bag
 from support.verbs import call
 from support.verbs import refused as refused_verb
 from support.wording import refused
@@ -102,6 +102,40 @@ def test_a_delay_moves_the_values(tmp_path: Path) -> None:
     measured = trial.measurements()
     assert measured.stamps[0] == START
     np.testing.assert_allclose(measured.wrench[:, 5], [-100.0, -125.0, -150.0, -175.0, -200.0])
+
+
+def pushed(late: dict[str, float]) -> dict[str, tuple[str, Any]]:
+    """Half a minute of pushes at 50 Hz, and the limb that they move by 0.1 mm/N, 20 ms late."""
+    time = np.arange(0.0, 30.0, 0.02)
+    forces = pushes(time)
+    turn = np.array([0.0, 0.0, 0.0, 1.0])
+    wrenches, poses = [], []
+    for at, force in zip(START + np.round(1e9 * time).astype(int), forces, strict=True):
+        stamps = {name: int(at) + round(1e9 * delay) for name, delay in late.items()}
+        wrench = {"wrench": wrench_fields(np.concatenate([0.0 * force, force]))}
+        pose = {"pose": pose_fields(np.concatenate([1e-4 * force, turn]))}
+        wrenches.append((int(at), {"header": header(stamps["wrench"], "ft"), **wrench}))
+        poses.append((int(at), {"header": header(stamps["pylon_pose"], "world"), **pose}))
+    types = "geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/PoseStamped"
+    return {FT: (types[0], wrenches), LIMB: (types[1], poses)}
+
+
+@pytest.mark.parametrize("source", ["wrench", "pylon_pose"])
+def test_the_load_tells_a_delay(tmp_path: Path, source: str) -> None:
+    late = {"wrench": 0.0, "pylon_pose": 0.0} | {source: 0.02}
+    trial, notes = opened(tmp_path, pushed(late), delay=[f"{source}=auto"], rate=50.0)
+    record = yaml.safe_load((trial.path / "import.yaml").read_text())
+    assert record[source]["delay"] == pytest.approx(0.02, abs=0.001)
+    low, high = record[source]["delay_interval"]
+    assert low <= record[source]["delay"] <= high < 0.025
+    behind = "pylon pose" if source == "wrench" else "wrench"
+    said = [note for note in notes if f"behind the {behind}: " in note]
+    assert len(said) == 1 and (": 20." in said[0] or ": 19." in said[0])
+    measured = trial.measurements()
+    moved = 1e4 * measured.pylon[:, :3]
+    expected = pushes((measured.stamps - START) * 1e-9)
+    np.testing.assert_allclose(moved[1:-1], expected[1:-1], atol=0.5)
+    np.testing.assert_allclose(measured.wrench[1:-1, 3:], expected[1:-1], atol=0.5)
 
 
 def test_a_force_on_the_limb_is_negated(tmp_path: Path) -> None:
@@ -336,6 +370,24 @@ REFUSED = {
         {"delay": ["wrench=soon"]},
         ConfigurationError,
         ("the delay of wrench is 'soon'",),
+    ),
+    "nothing tells the delay": (
+        {FT: stamped_wrench()},
+        {"delay": ["wrench=auto"]},
+        TrialError,
+        ("the delay of the wrench is auto, and no other source",),
+    ),
+    "no load tells the delay": (
+        {SOCKET: stamped_pose()},
+        {"delay": ["socket_pose=auto"], "pylon_pose": "none"},
+        TrialError,
+        ("the delay of the socket pose is auto, and there is no wrench",),
+    ),
+    "no limb tells the delay": (
+        {FT: stamped_wrench(), SOCKET: stamped_pose()},
+        {"delay": ["socket_pose=auto"], "pylon_pose": "none"},
+        TrialError,
+        ("the delay of the socket pose is auto, and there is no pose of the pylon",),
     ),
     "rate and trigger": (
         {FT: stamped_wrench()},
