@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Self
 
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from socket_testbed.nodes.foreign_topics import type_class
 from socket_testbed.trials.bag import BagReader, RawMessage
@@ -15,11 +15,15 @@ from support.graph import Probe
 STAMPED = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/PoseStamped")
 
 
+def _quality(kind: str) -> QoSProfile:
+    return qos_profile_sensor_data if "Wrench" in kind else QoSProfile(depth=100)
+
+
 class Player:
     """Publishes the messages of a bag in real time, with stamps of the present.
 
     Args:
-        probe: Publishes them, with the quality of service of sensors: best effort.
+        probe: Publishes them: wrenches as sensors, with best effort; all others reliably.
         bag: The bag.
 
     Attributes:
@@ -31,7 +35,7 @@ class Player:
         with BagReader(bag) as reader:
             self._messages = [*reader.messages(reader.types)]
         self._publishers = {
-            name: probe.node.create_publisher(type_class(kind, name), name, qos_profile_sensor_data)
+            name: probe.node.create_publisher(type_class(kind, name), name, _quality(kind))
             for name, kind in {message.topic: message.type for message in self._messages}.items()
         }
         self._ended = threading.Event()
