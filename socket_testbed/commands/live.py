@@ -41,7 +41,7 @@ from socket_testbed.live.doctor import (
 from socket_testbed.live.hardware import find_user
 from socket_testbed.live.processes import Graph, GraphNode, require_ros
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
-from socket_testbed.live.sources import check_sources
+from socket_testbed.live.sources import absent_topics, check_sources
 from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.options import (
     EstimatorOptions,
@@ -242,7 +242,7 @@ def run(call: calls.Run) -> None:
             return now >= begin + (duration or math.inf) / testbed.time_scale
 
         try:
-            status.follow(testbed.namespace)
+            status.follow(testbed.namespace, absent_topics(testbed.settings.align_node))
             graph.watch(over, status.say)
         except KeyboardInterrupt:
             status.say("ending")

@@ -184,7 +184,7 @@ class Testbed:
             directory=str(self.record.resolve()),
             record=self.at_once,
             beside=foreign_topics(given.align_node),
-            absent=absent_topics(given.align_node),
+            absent=tuple(topic.name for topic in absent_topics(given.align_node)),
             geometry=geometry,
             calibration=calibration,
             parameters=str(stored),

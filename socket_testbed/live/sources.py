@@ -446,13 +446,15 @@ def foreign_topics(settings: AlignSettings) -> tuple[str, ...]:
     return tuple(dict.fromkeys("/tf" if t.startswith(foreign.TRANSFORM) else t for t in named))
 
 
-def absent_topics(settings: AlignSettings) -> tuple[str, ...]:
-    """The testbed's topics that nobody measures: the poses of bodies that there are not."""
-    return tuple(
-        topic.name
-        for body, topic in topics.POSES.items()
-        if settings.sources[f"{body}_pose"].topic == NONE
-    )
+def absent_topics(settings: AlignSettings) -> tuple[topics.Topic, ...]:
+    """The testbed's topics whose values there are not: of sources that are `none`."""
+    sources = {
+        "wrench": topics.WRENCH,
+        "socket_pose": topics.SOCKET_POSE,
+        "pylon_pose": topics.PYLON_POSE,
+        "clusters": topics.CAPACITANCE,
+    }
+    return tuple(topic for name, topic in sources.items() if settings.sources[name].topic == NONE)
 
 
 def wrench_mapping(settings: LiveWrenchSettings) -> WrenchDocument:

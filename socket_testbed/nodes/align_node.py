@@ -106,6 +106,9 @@ class AlignNode(TestbedNode[AlignSettings]):
             self._send_capacitance = self.sender(CAPACITANCE, capacitance_packer(self._names))
             self._publish["clusters"] = self._publish_clusters
         poses = {f"{body}_pose": topic for body, topic in POSES.items()}
+        for name, topic in poses.items():
+            if sources[name].topic == NONE:
+                self.advertise(topic)  # nodes wait for a publisher, which stays silent
         foreign_poses = {name: topic for name, topic in poses.items() if name in self._sources}
         for name, topic in foreign_poses.items():
             send = self.sender(topic, pose_packer())

@@ -34,7 +34,7 @@ from socket_testbed.settings.alignment import (
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.imported import in_load_cell
-from socket_testbed.wire import cdr
+from socket_testbed.wire import cdr, topics
 
 OK, WARN, ERROR = 0, 1, 2
 START, SECOND = 1_700_000_000_000_000_000, 1_000_000_000  # [ns]
@@ -349,7 +349,7 @@ def test_topics_to_record_are_those_of_other_drivers() -> None:
     )
     check_sources(settings)
     assert foreign_topics(settings) == ("/ft", "/tf")
-    assert absent_topics(settings) == ("mocap/pylon/pose",)
+    assert absent_topics(settings) == (topics.PYLON_POSE,)
 
 
 def test_a_wrench_is_turned_into_the_load_cell_s_frame() -> None:
