@@ -322,6 +322,9 @@ def _testbed(simulation: Simulation | None, call: calls.Run) -> bringup.Testbed:
     testbed = configured(simulation, call)
     trigger = testbed.settings.trigger_node
     if call.rate is not None:
+        if trigger.source == "topic":
+            fact = f"--rate is given, and the triggers are the messages on {trigger.topic}"
+            raise ConfigurationError(fact, "leave it out, or set trigger_node's source to timer")
         trigger = dataclasses.replace(trigger, rate=call.rate)
     stored, chosen = testbed.settings.estimator_node, given(call, EstimatorOptions)
     estimator = bringup.predict_with(

@@ -183,7 +183,7 @@ class Testbed:
             given.recorder_node,
             directory=str(self.record.resolve()),
             record=self.at_once,
-            beside=foreign_topics(given.align_node),
+            beside=foreign_topics(given.align_node, given.trigger_node.topic),
             absent=tuple(topic.name for topic in absent_topics(given.align_node)),
             geometry=geometry,
             calibration=calibration,

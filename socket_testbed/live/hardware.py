@@ -91,7 +91,7 @@ def _require_real_time() -> None:
 
 def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
     """Create the trigger: a timer, or wired lines of the machine or of a simulated world."""
-    if settings.source == "timer":
+    if settings.source != "gpio":
         return gpio.TimerTrigger()
     if settings.simulation:
         faults = World(Path(settings.simulation)).faults

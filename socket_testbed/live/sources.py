@@ -55,6 +55,7 @@ _AHEAD = -0.002  # [s]; arrival minus stamp, below which the clock of a source i
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _MIN_COMPLETE = 0.5  # share of the usual wrenches that a tare needs
 _Component = Annotated[float, Meta(ge=-1e6, le=1e6)]
+_NEWEST = 20  # triggers whose rate is shown
 _CHANNELS = 4  # of a cluster
 _NOTHING = np.empty(0, np.int64)
 
@@ -239,6 +240,8 @@ class StreamedSource:
         """
         for level, text in self._findings(now):
             return level, text
+        if math.isnan(self.rate):
+            return OK, f"{self.name} heard"
         stamps = ", no stamps" if self.unstamped else ""
         return OK, f"{self.name} at {self.rate:.3g} Hz{stamps}"
 
@@ -307,6 +310,65 @@ class StreamedSource:
         return {f"{key}_{name}": value for name, value in figures.items()} | {
             f"{key}_missing": self.missing
         }
+
+
+class TriggerStream:
+    """Triggers from the messages of another program.
+
+    Args:
+        topic: Its topic, for texts.
+
+    Attributes:
+        clock: Its clock, see `RunningClock`.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self.clock = RunningClock()
+        self._topic = topic
+        self._known: foreign.Layouts = []
+        self._newest: deque[int] = deque(maxlen=_NEWEST)
+        self._heard = 0  # newest arrival [ns]
+
+    @property
+    def rate(self) -> float:
+        """Mean rate of the newest triggers [Hz]; NaN for fewer than two."""
+        if len(self._newest) < 2:
+            return math.nan
+        return (len(self._newest) - 1) / ((self._newest[-1] - self._newest[0]) * 1e-9)
+
+    def receive(self, messages: Sequence[RawMessage]) -> list[int]:
+        """Stamps of the new triggers [ns], ascending.
+
+        Args:
+            messages: The messages, of one type; `time` is that of their arrival [ns].
+        """
+        found: list[int] = []
+        for message in messages:
+            self._heard = message.time
+            stamps = foreign.read_stamps([message], self._known)
+            if not len(stamps):
+                continue
+            self.clock.add(stamps, np.array([message.time]))
+            stamp = int(self.clock.to_recording(stamps)[0])
+            if not self._newest or stamp > self._newest[-1]:
+                self._newest.append(stamp)
+                found.append(stamp)
+        return found
+
+    def health(self, now: int) -> tuple[int, str]:
+        """State of the topic at the present time [ns]: OK, WARN or ERROR, fact and hint."""
+        if not self._heard:
+            hint = "start its program, or check the topic's name and the ROS_DOMAIN_ID"
+            return ERROR, f"no message on {self._topic}, each of which is a trigger: {hint}"
+        silent, rate = (now - self._heard) / _SECOND, self.rate
+        if silent > max(_SILENT, _SILENT_STEPS / rate if rate > 0.0 else 0.0):
+            return ERROR, f"{self._topic} is silent for {silent:.1f} s: check its program"
+        if self.clock.is_another:
+            fact = f"the clock of {self._topic} is not this machine's"
+            hint = "its stamps are corrected by their arrival; synchronise the clocks"
+            return WARN, f"{fact}: {hint}"
+        shown = "" if math.isnan(rate) else f", {rate:.3g} Hz"
+        return OK, f"a trigger with each message on {self._topic}{shown}"
 
 
 class _TareDocument(Document):
@@ -440,9 +502,15 @@ def check_sources(settings: AlignSettings) -> None:
             raise ConfigurationError(fact, "give each source a topic of its own")
 
 
-def foreign_topics(settings: AlignSettings) -> tuple[str, ...]:
-    """Topics of other drivers, as the settings name them; `/tf` for transforms."""
+def foreign_topics(settings: AlignSettings, trigger: str = "") -> tuple[str, ...]:
+    """Topics of other drivers, as the settings name them; `/tf` for transforms.
+
+    Args:
+        settings: The sources.
+        trigger: Topic whose messages are the triggers; empty for none.
+    """
     named = [own.topic for own in settings.sources.values() if own.is_foreign]
+    named += [trigger] if trigger else []
     return tuple(dict.fromkeys("/tf" if t.startswith(foreign.TRANSFORM) else t for t in named))
 
 

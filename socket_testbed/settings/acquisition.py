@@ -38,9 +38,14 @@ class TriggerSettings(Settings):
     """Parameters of the trigger node."""
 
     source: str = fixed(
-        "gpio", "gpio: a pulse with a kernel timestamp; timer: the steady clock alone [-]",
-        choices=("gpio", "timer"),
-    )  # fmt: skip
+        "gpio",
+        "gpio: a pulse with a kernel timestamp; timer: the steady clock alone; topic: the messages"
+        " of another program [-]",
+        choices=("gpio", "timer", "topic"),
+    )
+    topic: str = fixed(
+        "", "topic of another program, each message of which is a trigger, for source topic [-]"
+    )
     rate: float = setting(4.0, "rate of the trigger [Hz]", 0.1, 500.0)
     enabled: bool = fixed(True, "start triggering at once; see trigger/enable [-]")
     wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first trigger [-]")
@@ -57,6 +62,9 @@ class TriggerSettings(Settings):
         if self.source == "gpio" and self.output_line == self.input_line:
             fact = f"output_line and input_line are both {self.output_line}"
             raise ConfigurationError(fact, "give two lines, and wire one to the other")
+        if (self.source == "topic") != bool(self.topic):
+            fact = f"source is {self.source} and topic is '{self.topic}'"
+            raise ConfigurationError(fact, "give a topic with source topic, and with no other")
         if self.pulse * self.rate > MAX_PULSE:
             fact = f"a pulse of {self.pulse:g} s is too long for {self.rate:g} Hz"
             hint = f"set pulse to {1e-6 * int(1e6 * MAX_PULSE / self.rate):g} s or less"

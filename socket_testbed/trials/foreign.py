@@ -38,7 +38,8 @@ KINDS: dict[Source, tuple[str, ...]] = {
     "pylon_pose": _POSES,
     "clusters": _CLUSTERS,
 }
-TYPES = (*_WRENCHES, *_POSES, *_CLUSTERS, TRANSFORMS)  # all that can be read
+TRIGGERS = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *_CLUSTERS)
+TYPES = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *_CLUSTERS, TRANSFORMS)  # all that can be read
 _WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics
     "socket_pose": ("socket",),
     "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
@@ -208,9 +209,17 @@ def read_messages(
     return dict(messages)
 
 
-def read_stamps(messages: Sequence[RawMessage]) -> IntArray:
-    """Times of messages, from their headers or, without one, of their arrival, (N,) [ns]."""
-    parts = [stamps for _, stamps, _, _ in _decoded(messages)]
+def read_stamps(messages: Sequence[RawMessage], known: Layouts | None = None) -> IntArray:
+    """Times of messages, from their headers or, without one, of their arrival, (N,) [ns].
+
+    Args:
+        messages: The messages, of one type.
+        known: Layouts of earlier messages, to which new ones are added; None for none.
+    """
+    parts = [
+        np.where(stamps == 0, arrivals, stamps)
+        for arrivals, stamps, _, _ in _decoded(messages, known=known)
+    ]
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
 
@@ -284,7 +293,7 @@ def _series(source: Source, times: IntArray, values: FloatArray, names: tuple[st
 _Part: TypeAlias = tuple[IntArray, IntArray, FloatArray, tuple[str, ...]]
 """Stamps and arrivals [ns], values, and the frame or the names of the clusters."""
 
-_Layouts: TypeAlias = list[tuple[cdr.Layout, Any]]
+Layouts: TypeAlias = list[tuple[cdr.Layout, Any]]
 """Layouts of messages of one type, each with a decoded sample."""
 
 
@@ -301,7 +310,7 @@ class SourceReader:
         self._source = source
         self._name = name
         self._clusters = clusters
-        self._known: _Layouts = []
+        self._known: Layouts = []
 
     def parts(self, messages: Sequence[RawMessage], notes: list[str]) -> Iterator[_Part]:
         """The values of messages of one type, in parts.
@@ -324,7 +333,7 @@ class SourceReader:
 def _decoded(
     messages: Sequence[RawMessage],
     notes: list[str] | None = None,
-    known: _Layouts | None = None,
+    known: Layouts | None = None,
 ) -> Iterator[tuple[IntArray, IntArray, cdr.Record, Any]]:
     """Arrivals and stamps [ns], numbers and one sample of messages, each part of one layout.
 
@@ -368,7 +377,7 @@ def _values(
     messages: Sequence[RawMessage],
     clusters: Sequence[str],
     notes: list[str],
-    known: _Layouts | None = None,
+    known: Layouts | None = None,
 ) -> Iterator[_Part]:
     """The values of messages of one kind, in parts."""
     kind = messages[0].type if messages else ""

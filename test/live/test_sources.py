@@ -17,6 +17,7 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import packaged
 from socket_testbed.live.sources import (
     StreamedSource,
+    TriggerStream,
     WrenchTare,
     absent_topics,
     as_capacitances,
@@ -295,6 +296,34 @@ def test_the_same_clock_stays_uncorrected() -> None:
         part = slice(row, row + 100)
         clock.add(stamps[part], (stamps + vary)[part])
         assert clock.to_recording(stamps[part]) is not None and not clock.is_another
+
+
+# --- triggers of another program
+
+
+def test_messages_of_another_program_are_triggers() -> None:
+    """One that is not later than the last one is none."""
+    stream = TriggerStream("/x")
+    assert stream.health(START) == (
+        ERROR,
+        "no message on /x, each of which is a trigger: start its program, or check the topic's name"
+        " and the ROS_DOMAIN_ID",
+    )
+    times = every(4.0, 2.0)
+    sent = messages("wrench", times, [time + 1_000_000 for time in times])
+    assert stream.receive(sent) == times
+    assert stream.receive(sent[-1:]) == []
+    assert stream.health(times[-1]) == (OK, "a trigger with each message on /x, 4 Hz")
+    assert stream.health(times[-1] + 3 * SECOND) == (
+        ERROR,
+        "/x is silent for 3.0 s: check its program",
+    )
+
+
+def test_triggers_without_stamps_count_as_they_arrive() -> None:
+    times = every(4.0, 1.0)
+    arrivals = [time + 1_000_000 for time in times]
+    assert TriggerStream("/x").receive(messages("numbers", times, arrivals)) == arrivals
 
 
 # --- settings

@@ -14,7 +14,8 @@ from socket_testbed.settings.acquisition import averaging_span
 # name = default, then lowest..highest, choices, `fixed` after the start, what `auto` stands for
 TABLE = {
     "trigger_node": """
-        source = 'gpio' of gpio timer fixed
+        source = 'gpio' of gpio timer topic fixed
+        topic = '' fixed
         rate = 4.0 0.1..500
         enabled = True fixed
         wait_for = () fixed
