@@ -725,6 +725,7 @@ def test_skipped_pulses_are_counted(clock: FakeClock) -> None:
         _enabled=always,
         _trigger=None,
         _skipped=0,
+        _stream=None,
         _fire=fire,
     )
     trigger_node.TriggerNode._run(own)

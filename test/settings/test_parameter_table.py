@@ -305,7 +305,7 @@ def test_help_tells_default_range_and_choices() -> None:
         "rate: speed of the replay relative to the recording [-]; default 1.0; from 0.001 to 10000."
     )
     source = acquisition.TriggerSettings.flat()["source"]
-    assert fields._explained(source).endswith("default 'gpio'; one of 'gpio', 'timer'")
+    assert fields._explained(source).endswith("default 'gpio'; one of 'gpio', 'timer', 'topic'")
     inputs = acquisition.LoadCellSettings.flat()["inputs"]
     assert fields._explained(inputs).endswith("; each from 0 to 7")
     nested = fields._explained(acquisition.SchedulingSettings())
