@@ -272,7 +272,12 @@ class StreamedSource:
         return self.clock.clock.offset if self.clock.clock is not None else math.nan
 
     def between(self, start: int, end: int) -> FloatArray:
-        """Values of the readings between two times [ns], shape (n, ...), as they were read."""
+        """Values of the readings in a span, as they were read, shape (n, ...).
+
+        Args:
+            start: Its start [ns].
+            end: Its end [ns].
+        """
         if self._buffer is None:
             return np.empty((0, 6))
         with self._lock:

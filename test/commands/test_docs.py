@@ -87,7 +87,7 @@ def test_the_conventions_name_every_topic(topic: Topic) -> None:
 def test_the_example_of_other_sensors_is_read(tmp_path: Path) -> None:
     (text,) = re.findall(r"```yaml\n(.*?)```", (DOCS / "foreign-live.md").read_text(), re.DOTALL)
     example = (CHECKOUT / "config" / "testbed.yaml").read_text()
-    commented = example[example.index("# align_node:") :].replace("# ", "")
+    commented = re.sub("^# ", "", example[example.index("# align_node:") :], flags=re.MULTILINE)
     for name, content in (("page", text), ("example", commented)):
         (tmp_path / name).write_text(content)
         settings = read_testbed(tmp_path / name)
