@@ -16,7 +16,7 @@ from socket_testbed.alignment.delay import Delay, find_delay
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
 from socket_testbed.alignment.triggers import triggers_at
 from socket_testbed.api.trials import as_path, open_trial
-from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray, usual_period, within
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.documents import check_number, path_of, read_document
 from socket_testbed.errors import ConfigurationError, TrialError, closest
@@ -30,6 +30,7 @@ from socket_testbed.settings.alignment import MAX_DELAY
 from socket_testbed.settings.options import WrenchOf
 from socket_testbed.trials import foreign, imported
 from socket_testbed.trials.bag import BagReader, RawMessage
+from socket_testbed.trials.segment import parse_span
 from socket_testbed.trials.trial import Trial, read_configuration
 
 _CLEAR_LOAD = 50.0  # [N]; above which the load shows the sign of the wrench
@@ -48,6 +49,7 @@ def import_trial(
     trigger: str | None = None,
     delay: Iterable[str] | Mapping[str, float | str] = (),
     wrench_of: WrenchOf | None = None,
+    tare: str | None = None,
     mapping: PathLike | None = None,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
@@ -78,6 +80,8 @@ def import_trial(
             `alignment.delay.find_delay`.
         wrench_of: Whose force the wrench is: of the limb on the socket, as in a trial, or of the
             socket on the limb, which is negated (default: limb).
+        tare: Span without load, since the first trigger [s], whose mean wrench is subtracted
+            (default: none, for a load cell that is tared).
         mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
         geometry: A socket.yaml (default: the package's own).
         calibration: A calibration.yaml (default: the package's own).
@@ -102,6 +106,12 @@ def import_trial(
         "clusters": clusters,
     }
     chosen = _mapping(as_path(mapping), given, _delays(delay), names, wrench_of)
+    if tare is not None:
+        chosen = msgspec.structs.replace(
+            chosen, wrench=msgspec.structs.replace(chosen.wrench, tare=tare)
+        )
+    if chosen.wrench.tare is not None:
+        parse_span(chosen.wrench.tare, "--tare")
     chosen = _with_triggers(chosen, rate, trigger)
     recording = _read_bag(source, chosen, notify)
     return trial_of(
@@ -212,7 +222,14 @@ def trial_of(
             record[name]["delay_interval"] = [round(end, 6) for end in ends]
     record["notes"] = [note for own in sources.values() for note in own.notes]
     if "wrench" in aligned:
-        values = imported.in_load_cell(aligned["wrench"].values, chosen.wrench)
+        values = aligned["wrench"].values
+        if chosen.wrench.tare is not None:
+            no_load = _no_load(sources["wrench"], chosen.wrench.tare, triggers, delays["wrench"])
+            values = values - no_load
+            record["wrench"]["tare"] = {
+                "span": chosen.wrench.tare, "values": [round(v, 6) for v in no_load.tolist()]
+            }  # fmt: skip
+        values = imported.in_load_cell(values, chosen.wrench)
         aligned["wrench"] = replace(aligned["wrench"], values=values)
         record["wrench"]["of"] = chosen.wrench.of
         if chosen.wrench.pose is not None:
@@ -396,6 +413,23 @@ def _refuse_nothing(
                 f" around it (they last from {start:.3g} to {end:.3g} s after the first trigger)",
                 "check its clock and delay, or set its stale in a mapping.yaml",
             )
+
+
+def _no_load(
+    source: foreign.ForeignSource, tare: str, triggers: IntArray, delay: Delay
+) -> FloatArray:
+    """Mean wrench [M; F] in a span without load, in the frame of the messages, shape (6,)."""
+    assert isinstance(source.series, WrenchSeries)
+    start, end = parse_span(tare, "--tare")
+    since = (source.series.times - triggers[0]) * 1e-9 - delay.delay
+    inside = source.series.values[within(since, start, end)]
+    inside = inside[np.isfinite(inside).all(axis=1)]
+    if not len(inside):
+        raise TrialError(
+            f"{source.topic} has no reading in the span {tare} s of the tare",
+            f"give a span between {since[0]:.3g} and {since[-1]:.3g} s",
+        )
+    return np.asarray(inside.mean(axis=0))
 
 
 def _sign_doubt(values: FloatArray, socket: SocketGeometry, of: WrenchOf) -> str:

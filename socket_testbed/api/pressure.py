@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.trials import as_trial, settings_of
 from socket_testbed.documents import check_number, mapping_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
+from socket_testbed.identification.pressure import check_measured
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
@@ -42,7 +43,8 @@ def force_map(
 
     Raises:
         ConfigurationError: A setting or a file is wrong.
-        TrialError: The trial cannot be read or has no such segment.
+        TrialError: The trial cannot be read or has no such segment, or no sample of it has a wrench
+            or a cluster.
         IdentificationError: The measured values have another unit.
 
     >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
@@ -68,7 +70,9 @@ def _mapped(
     check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = trial.select(segment, settings)
     with threadpool_limits(1):
-        return map_trial(trial, settings, geometry).part(chosen)
+        found = map_trial(trial, settings, geometry).part(chosen)
+    check_measured(found.samples)
+    return found
 
 
 def pressure(

@@ -463,11 +463,7 @@ def pressure_outputs(
     Raises:
         TrialError: If no sample has a wrench or a trusted cluster.
     """
-    kept = np.flatnonzero(measured_rows(samples))
-    if not len(kept):
-        raise TrialError(
-            "no sample of the segment has a wrench or a trusted cluster", "choose another segment"
-        )
+    kept = np.flatnonzero(check_measured(samples))
     measured, areas = samples[kept], geometry.areas
     weights = integration_weights(measured.time)
     alone, drawn = _Span(1, len(areas)), _Span(_DRAWS, len(areas))
@@ -584,6 +580,20 @@ def _store(stored: Quantity, found: Quantity, rows: IntArray) -> None:
 def measured_rows(samples: Samples) -> BoolArray:
     """Samples with a channel of the wrench or of a trusted cluster, shape (N,)."""
     return np.asarray(np.isfinite(samples.trusted_values).any(axis=1))
+
+
+def check_measured(samples: Samples) -> BoolArray:
+    """As `measured_rows`, for what needs one.
+
+    Raises:
+        TrialError: If no sample has a wrench or a trusted cluster.
+    """
+    rows = measured_rows(samples)
+    if not rows.any():
+        raise TrialError(
+            "no sample of the segment has a wrench or a trusted cluster", "choose another segment"
+        )
+    return rows
 
 
 def integration_weights(time: FloatArray) -> FloatArray:

@@ -153,11 +153,37 @@ def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
             raise ConfigurationError(f"leave_out: no channel '{name}'", hint)
 
 
+def check_parts(samples: Samples, who: str, pose: bool = False, wrench: bool = False) -> None:
+    """Check that a trial, or a part of one, was recorded with what a task needs.
+
+    Args:
+        samples: The samples of the trial or part.
+        who: The task in a sentence, such as `a fit`.
+        pose: Whether it needs limb positions.
+        wrench: Whether it needs the wrench.
+
+    Raises:
+        IdentificationError: If none of the samples has it.
+    """
+    parts = {
+        "limb position": (pose and not samples.has_pose.any(), "the poses of socket and pylon"),
+        "wrench": (wrench and not np.isfinite(samples.wrench).any(), "the load cell"),
+    }
+    lacking = {name: source for name, (is_lacking, source) in parts.items() if is_lacking}
+    if lacking and len(samples):
+        raise IdentificationError(
+            f"none of the {len(samples)} samples has a {' or a '.join(lacking)}, which {who} needs",
+            f"record {' and '.join(lacking.values())}, or give another segment; 'pressure' and"
+            " 'map' do without (--segment all)",
+        )
+
+
 def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     """Samples with a limb pose and every wrench channel of the objective, shape (N,).
 
     `wrench_counts` marks these channels, shape (6,).
     """
+    check_parts(samples, "a fit", pose=True, wrench=bool(wrench_counts.any()))
     measured = np.isfinite(samples.wrench)
     dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
     for channel in np.flatnonzero(dead).tolist():

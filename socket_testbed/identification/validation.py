@@ -28,7 +28,7 @@ from socket_testbed.identification import fit
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
-from socket_testbed.identification.problem import MIN_SAMPLES
+from socket_testbed.identification.problem import MIN_SAMPLES, check_parts
 from socket_testbed.identification.wrench import REGRESSION, regress_wrench, relative_pose
 from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels
 from socket_testbed.settings.identification import (
@@ -414,6 +414,7 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
     Raises:
         IdentificationError: If too few samples are under load to fit and test two halves.
     """
+    check_parts(samples, "a validation", pose=True, wrench=True)
     loaded = np.flatnonzero(samples.under_load(least_force))
     if len(loaded) < 2 * MIN_SAMPLES:
         raise IdentificationError(

@@ -26,6 +26,7 @@ from socket_testbed.identification.fit import (
 )
 from socket_testbed.identification.model_file import quoted_figures, record, write_model
 from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.problem import check_parts
 from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.results.pressure import TrialPressure
 from socket_testbed.results.result import PathLike, Result, origin
@@ -369,11 +370,13 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
         segment: The part that is judged.
 
     Raises:
-        IdentificationError: If the limb positions of the segment are in another unit or frame.
+        IdentificationError: If the limb positions of the segment are in another unit or frame, or
+            there are none.
     """
     leave_out = model.settings.leave_out
     checked = trial.checked(leave_out)
     samples = checked.posed(segment.rows)
+    check_parts(samples, "a prediction", pose=True)
     past = checked.samples[: segment.rows.start]
     with threadpool_limits(1):
         predicted = model.predictions(samples, past)

@@ -470,6 +470,12 @@ class ImportOptions(Options):
         "whose force the wrench is: of the limb on the socket, as in a trial, or of the socket on"
         " the limb, which is negated (default: limb)",
     )
+    tare: str | None = option(
+        None,
+        "span without load, since the first trigger [s], whose mean wrench is subtracted (default:"
+        " none, for a load cell that is tared)",
+        metavar="T0:T1",
+    )
     mapping: Path | None = option(
         None, "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}"
     )

@@ -6,7 +6,7 @@ which they were made, unchanged. `import.yaml` in its folder states the mapping,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -65,10 +65,13 @@ class WrenchDocument(SourceDocument):
     Attributes:
         of: Whose force it is: of the `limb` on the socket, or of the `socket` on the limb.
         pose: Pose of the frame of the messages in {S}; None if they are in {S}.
+        tare: Span T0:T1 without load, since the first trigger [s], whose mean is subtracted; None
+            for a wrench that its driver tares.
     """
 
     of: WrenchOf = "limb"
     pose: PoseDocument | None = None
+    tare: str | None = None
 
 
 class ClustersDocument(SourceDocument):
@@ -131,7 +134,7 @@ def write_imported_trial(
     triggers: IntArray,
     aligned: Mapping[str, Aligned],
     clusters: tuple[Sequence[str], FloatArray, StatusArray],
-    originals: Iterable[RawMessage],
+    originals: Sequence[RawMessage],
     configuration: Mapping[str, bytes],
     record: Mapping[str, Any],
 ) -> None:
@@ -153,8 +156,9 @@ def write_imported_trial(
     """
     check_new_folder(path)
     make_folder(path.parent)
-    entries = [(m.time, original_name(m.topic), m.data) for m in originals]
-    kinds = {original_name(m.topic): m.type for m in originals}
+    types = {message.topic: message.type for message in originals}
+    kept = {name: original_name(name) for name in types}
+    entries = [(message.time, kept[message.topic], message.data) for message in originals]
     own = [topics.TRIGGER, topics.WRENCH, topics.CAPACITANCE]
     poses = {
         topics.POSES[name]: aligned[f"{name}_pose"].values
@@ -176,8 +180,8 @@ def write_imported_trial(
         with BagWriter(staging) as bag:
             for topic in [*own, *poses]:
                 bag.add_topic(f"/{topic.name}", topic)
-            for name, kind in kinds.items():
-                bag.add_topic(name, topics.Topic(name, kind))
+            for name, kind in types.items():
+                bag.add_topic(kept[name], topics.Topic(kept[name], kind))
             for time, name, data in entries:
                 bag.write(name, time, data)
         record_text = _HEADER + dump_yaml(dict(record))

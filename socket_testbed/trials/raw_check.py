@@ -120,7 +120,15 @@ def _may_hold_error(data: bytes) -> bool:
 
 
 def _silent_clusters(measured: Measurements, geometry: SocketGeometry) -> Iterator[DataFinding]:
-    """Clusters that the socket declares and no message contains."""
+    """Clusters that the socket declares and no message contains; one finding for all of them."""
+    if len(geometry.clusters) > 1 and not measured.clusters:
+        yield DataFinding(
+            "the clusters",
+            f"no message contains any of the {len(geometry.clusters)} that socket.yaml declares, so"
+            " the force map comes from the wrench alone",
+            "check their buses and names in testbed.yaml, or go without",
+        )
+        return
     for name in geometry.clusters:
         if name not in measured.clusters:
             yield DataFinding(

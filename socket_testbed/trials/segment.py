@@ -155,6 +155,11 @@ def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:
 
 
 def _no_plateau(what: str, samples: Samples, settings: PlateauSettings) -> NoReturn:
+    if not np.isfinite(samples.wrench).any():
+        raise TrialError(
+            f"the trial has no wrench, whose force tells a {what}",
+            "give --segment all or --segment T0:T1",
+        )
     hint = "give --segment all or --segment T0:T1"
     if span := loaded_span(samples, settings):
         hint = f"give --segment {span[0]:.2f}:{span[1]:.2f} (the part under load), --segment auto"

@@ -143,6 +143,15 @@ def test_a_force_on_the_limb_is_negated(tmp_path: Path) -> None:
     np.testing.assert_allclose(wrench[2], [-1.0, -2.0, -3.0, -10.0, -20.0, 150.0])
 
 
+def test_a_tare_is_subtracted(tmp_path: Path) -> None:
+    """From 0.1 to 0.3 s Fz is -110 to -130 N, -120 N in the mean."""
+    wrench = wrench_alone(tmp_path, stamped_wrench(), tare="0.1:0.3")
+    np.testing.assert_allclose(wrench[2], [0.0, 0.0, 0.0, 0.0, 0.0, -30.0], atol=1e-9)
+    record = yaml.safe_load((tmp_path / "trial" / "import.yaml").read_text())
+    expected = {"span": "0.1:0.3", "values": [1.0, 2.0, 3.0, 10.0, 20.0, -120.0]}
+    assert record["wrench"]["tare"] == expected
+
+
 def test_another_frame_becomes_the_load_cells(tmp_path: Path) -> None:
     """A cell turned by 90 deg about z, 0.1 m above {S}: F (-20, 10, Fz), M + p x F.
 
@@ -388,6 +397,18 @@ REFUSED = {
         {"delay": ["socket_pose=auto"], "pylon_pose": "none"},
         TrialError,
         ("the delay of the socket pose is auto, and there is no pose of the pylon",),
+    ),
+    "tare in words": (
+        {FT: stamped_wrench()},
+        {"tare": "start"},
+        ConfigurationError,
+        ("--tare is 'start'", "give seconds as T0:T1"),
+    ),
+    "tare of no time": (
+        {FT: stamped_wrench()},
+        {"tare": "5:6"},
+        TrialError,
+        ("/ft/wrench has no reading in the span 5:6 s of the tare", "between 0 and 1 s"),
     ),
     "rate and trigger": (
         {FT: stamped_wrench()},

@@ -151,7 +151,12 @@ def missing(array: str, *place):
             ("only 11 of 40 samples", "needs 12"),
             id="few-positions",
         ),
-        pytest.param((), missing("position"), ("only 0 of 40 samples",), id="no-position"),
+        pytest.param(
+            (),
+            missing("position"),
+            ("none of the 40 samples has a limb position",),
+            id="no-position",
+        ),
         pytest.param(
             (),
             lambda _: {"clusters": ("cluster_0", "brim", "cluster_2")},
