@@ -123,18 +123,19 @@ class StreamedSource:
         """
         if not messages:
             return
-        self._heard = messages[-1].time
         notes: list[str] = []
         try:
             for stamps, arrivals, values, names in self._reader.parts(messages, notes):
                 with self._lock:
-                    self._add(stamps, arrivals, self._in_order(values, names))
+                    self._add(stamps, arrivals, self._in_order(arrivals, values, names))
         except TestbedError as error:
             notes.append(str(error))
         if notes:
-            self._fault = notes[-1], self._heard
+            self._fault = notes[-1], messages[-1].time
 
-    def _in_order(self, values: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    def _in_order(
+        self, arrivals: IntArray, values: FloatArray, names: tuple[str, ...]
+    ) -> FloatArray:
         """The values, of clusters by the order of ours; unknown ones are left out."""
         if self._source != "clusters":
             self.frame = names[0]
@@ -147,10 +148,12 @@ class StreamedSource:
             other = next(name for name in names if name not in self._clusters)
             ours = ", ".join(self._clusters)
             text = f"{self.settings.topic}: names the cluster {other}, which is none of {ours}"
-            self._fault = f"{text}: name the clusters in cluster_node", self._heard
+            hint = "name the clusters in cluster_node"
+            self._fault = f"{text}: {hint}", int(arrivals[-1])
         return ordered
 
     def _add(self, stamps: IntArray, arrivals: IntArray, values: FloatArray) -> None:
+        self._heard = int(arrivals[-1])
         stamped = stamps != 0
         if stamped.any():
             self.unstamped = False

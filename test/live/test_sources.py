@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.foreign import header, pose_fields, wrench_fields
+from support.foreign import header, pose_fields, vector, wrench_fields
 from support.wording import refused
 
 from socket_testbed.alignment.align import Aligned, align
@@ -182,6 +182,42 @@ def test_the_first_triggers_wait_for_their_period() -> None:
     assert source.due(times[90], 0.0, 0.3) == []
     ((stamp, value),) = source.due(times[90], PERIOD, 0.3)
     assert stamp == times[50] and value is not None and value.count[0] == 25
+
+
+TREE = "tf2_msgs/msg/TFMessage"
+
+
+def transforms(stamp: int, *names: str) -> RawMessage:
+    """Transforms from the world, each a millimetre further than the one before."""
+    own = [
+        {"header": header(stamp, "world"), "child_frame_id": name,
+         "transform": {"translation": vector([1e-3 * row, 0.0, 0.0]),
+                       "rotation": vector([0.0, 0.0, 0.0, 1.0], "xyzw")}}
+        for row, name in enumerate(names)
+    ]  # fmt: skip
+    content = cdr.encode(cdr.make_message(TREE, transforms=own), TREE)
+    return RawMessage("/tf", TREE, stamp, content)
+
+
+def on_tf() -> StreamedSource:
+    return StreamedSource("socket_pose", LiveSourceSettings(topic="tf:world/rig"))
+
+
+def test_a_transform_is_found_among_others() -> None:
+    source, times = on_tf(), every(100.0, 2.0)
+    for time in times:
+        source.receive([transforms(time, "camera"), transforms(time, "table", "camera", "/rig")])
+    source.trigger(times[100])
+    ((_, value),) = source.due(times[-1], PERIOD, 0.3)
+    assert value is not None and value.values[0].tolist() == pytest.approx([2e-3, *[0.0] * 5, 1.0])
+    assert source.health(times[-1]) == (OK, "socket pose at 100 Hz")
+
+
+def test_other_transforms_are_no_sign_of_life() -> None:
+    source = on_tf()
+    source.receive([transforms(START, "camera")])
+    level, text = source.health(START)
+    assert level == ERROR and text.startswith("socket pose: nothing arrives on tf:world/rig: ")
 
 
 # --- health in words
