@@ -122,10 +122,9 @@ class RunningClock:
         last = float(np.min(arrivals - stamps)) * 1e-9
         if self.clock is not None and abs(last - self._offset(stamps)) > MAX_OFFSET:
             self._parts = [(stamps, arrivals)]  # a clock was set
-        old = newest - round(_KEPT * 1e9)
-        self._parts = [part for part in self._parts if part[1][-1] >= old]
-        joined = tuple(np.concatenate(column) for column in zip(*self._parts, strict=True))
-        self._parts = [(joined[0], joined[1])]
+        joined = [np.concatenate(column) for column in zip(*self._parts, strict=True)]
+        kept = joined[1] >= newest - round(_KEPT * 1e9)
+        self._parts = [(joined[0][kept], joined[1][kept])]
         self.clock = source_clock(*self._parts[0])
         offset = self._offset(stamps)
         if self._first is None and self.clock.duration >= 0.5 * _KEPT:
