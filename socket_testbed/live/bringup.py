@@ -103,8 +103,10 @@ class Testbed:
             raise ConfigurationError(f"cluster_node: {fact}", "leave the others out")
         check_names(self.settings.estimator_node.identification, names)
         calibration, socket = read_calibration(self.calibration), read_socket(self.geometry)
-        calibration.require(names, "cluster_node")
-        socket.require(names, f"cluster_node (socket {self.geometry})")
+        named = self.settings.align_node.clusters.names
+        where = "align_node" if named and names == named else "cluster_node"
+        calibration.require(names, where)
+        socket.require(names, f"{where} (socket {self.geometry})")
 
     @property
     def time_scale(self) -> float:

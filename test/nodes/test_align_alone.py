@@ -10,6 +10,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from support import HANGS
 from support.foreign import header, pose_fields, wrench_fields
+from support.graph import Probe
 from support.nodes import Maker, running_ros
 from support.wording import refused
 
@@ -19,6 +20,8 @@ from socket_testbed.nodes.foreign_topics import ForeignTopic, matching_qos, type
 from socket_testbed.nodes.trigger_node import TriggerNode
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.wire import cdr
+from socket_testbed.wire.cdr import stamp_of
+from socket_testbed.wire.topics import Topic
 
 START, STEP = 1_700_000_000_000_000_000, 10_000_000  # [ns]
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -158,6 +161,22 @@ def test_the_testbed_s_trigger_is_no_other_program_s(make: Maker) -> None:
 def test_a_source_of_triggers_needs_its_topic(make: Maker) -> None:
     with refused(ConfigurationError, "trigger_node: source is topic and topic is '': give"):
         make(TriggerNode, source="topic")
+
+
+@pytest.mark.graph
+def test_each_message_of_another_program_is_a_trigger(make: Maker) -> None:
+    node = make(TriggerNode, source="topic", topic="/sync")
+    with Probe() as probe:
+        publisher = probe.publisher(Topic("/sync", WRENCH))
+        now = time.time_ns()
+        stamps = [now + row * STEP for row in range(3)]
+        for stamp in stamps:
+            content = message(WRENCH, stamp, wrench=wrench_fields(np.zeros(6)))
+            publisher.publish(content.data)
+        until(lambda: len(make.sent["trigger"]) == 3)
+    sent = [(stamp_of(own), own.sequence) for own in make.sent["trigger"]]
+    assert sent == [*zip(stamps, (1, 2, 3), strict=True)]
+    assert node.figures()["triggers"] == 3
 
 
 # --- topics of other programs
