@@ -181,15 +181,18 @@ _MIN_INTERVALS = 3  # a late trigger makes one of them too long
 
 
 class TriggerPeriod:
-    """Time between triggers: the median of the last three to five intervals.
+    """Time between triggers: the median of the last three or more intervals.
 
     Gaps in the sequence account for missed pulses; the median ignores pauses, late triggers and
     the short intervals after them.
+
+    Args:
+        most: Largest number of intervals that count [1].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = _MAX_INTERVALS) -> None:
         self._last: tuple[int, int] | None = None
-        self._intervals: deque[float] = deque(maxlen=_MAX_INTERVALS)
+        self._intervals: deque[float] = deque(maxlen=most)
 
     def add(self, stamp: int, sequence: int) -> float:
         """Add a trigger; returns the period [s], 0 until three intervals are known.

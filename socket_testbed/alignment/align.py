@@ -19,7 +19,6 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray, 
 from socket_testbed.arrays import usual_period as median_step
 from socket_testbed.geometry.pose import weighted_pose
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.settings.alignment import USUAL_STALE, SourceSettings
 
 Series: TypeAlias = WrenchSeries | PoseSeries | ClusterSeries
@@ -83,7 +82,7 @@ def align(
     if period is None:
         step = median_step(triggers)
         period = 1e-9 * step if np.isfinite(step) else 0.0
-    window = averaging_span(settings.window, period)
+    window = settings.span(period)
     vectors = _vectors(series)
     shape = (len(triggers), vectors.shape[1])
     status = np.full(shape, Status.MISSING, np.uint8)
@@ -186,7 +185,7 @@ def _chosen(
         return
     moments = triggers + round(settings.delay * _SECOND)
     usual = 1e-9 * float(np.nan_to_num(median_step(times)))
-    limit = settings.stale if settings.stale >= 0 else max(USUAL_STALE[0], USUAL_STALE[1] * usual)
+    limit = _longest_gap(settings, usual)
     before = np.searchsorted(times, moments, "right") - 1
     if settings.method == "last":
         old = (moments - times[np.maximum(before, 0)]) * 1e-9
@@ -207,6 +206,11 @@ def _chosen(
     rows = np.flatnonzero(between & (gap <= limit))
     before, after, first, last = before[rows], after[rows], first[rows], last[rows]
     yield from _lines((rows, before, after, first, last), times, moments, width)
+
+
+def _longest_gap(settings: SourceSettings, usual: float) -> float:
+    """Longest distance between the readings around a trigger, for a usual step of them [s]."""
+    return settings.stale if settings.stale >= 0 else max(USUAL_STALE[0], USUAL_STALE[1] * usual)
 
 
 def _lines(
@@ -303,10 +307,12 @@ class SourceBuffer:
     Args:
         settings: Delay, window, method and limit of the source. They may be reassigned.
         empty: A series of the source without readings, which gives its kind, frame and clusters.
+        keep: Span of readings to keep at least [s].
     """
 
-    def __init__(self, settings: SourceSettings, empty: Series) -> None:
+    def __init__(self, settings: SourceSettings, empty: Series, keep: float = 0.0) -> None:
         self.settings = settings
+        self._keep = max(_KEPT, keep)
         self._series = empty
         self._columns: list[NDArray[np.float64]] = [values[:0] for values in _columns(empty)]
         self._times: IntArray = np.empty(0, np.int64)
@@ -321,28 +327,40 @@ class SourceBuffer:
         rows = slice(0, self._number)
         return _made(self._series, self._times[rows], [own[rows] for own in self._columns])
 
-    def add(self, time: int, *values: FloatArray) -> bool:
-        """Add a reading; returns False, and leaves it out, if it is older than the newest one.
+    def add(self, time: int, *values: FloatArray) -> int:
+        """Add a reading in its place; of two with one stamp, the later one counts.
 
         Args:
             time: Its stamp on the source's clock [ns].
             values: A wrench [M; F], shape (6,) [N m, N]; a position [m] and a quaternion
                 x, y, z, w [-]; or the values of the clusters, shape (C, 4) [pF] or (C, 3) [Pa].
+
+        Returns:
+            How much older it is than the newest reading [ns]; 0 for the newest.
         """
-        if self._number and time < self._times[self._number - 1]:
-            return False
         if self._number == len(self._times):
             self._make_space(time)
-        self._times[self._number] = time
+        place, end = self._number, self._number
+        late = 0
+        if end and time <= self._times[end - 1]:
+            late = int(self._times[end - 1]) - time
+            place = int(np.searchsorted(self._times[:end], time, "left"))
+        again = place < end and self._times[place] == time
+        if place < end and not again:
+            for column in (self._times, *self._columns):
+                column[place + 1 : end + 1] = column[place:end].copy()
+        self._times[place] = time
         for column, value in zip(self._columns, values, strict=True):
-            column[self._number] = value
-        self._number += 1
-        return True
+            column[place] = value
+        self._number += not again
+        return late
 
     def _make_space(self, time: int) -> None:
         """Drop what is too old for any trigger, and double the space if that is little."""
         settings = self.settings
-        reach = _KEPT + abs(settings.delay) + max(settings.window, 0.0) + max(settings.stale, 0.0)
+        reach = (
+            self._keep + abs(settings.delay) + max(settings.window, 0.0) + max(settings.stale, 0.0)
+        )
         old = int(np.searchsorted(self._times[: self._number], time - round(reach * _SECOND)))
         kept = slice(old, self._number)
         space = max(64, len(self._times), 2 * (self._number - old))
@@ -353,6 +371,37 @@ class SourceBuffer:
         times[: self._number - old] = self._times[kept]
         self._times, self._number = times, self._number - old
 
+    @property
+    def step(self) -> float:
+        """Usual step between the kept readings [s]; NaN for fewer than two."""
+        return 1e-9 * median_step(self._times[: self._number])
+
+    @property
+    def rate(self) -> float:
+        """Mean rate of the kept readings [Hz]; NaN for fewer than two."""
+        duration = 1e-9 * float(np.ptp(self._times[: self._number])) if self._number else 0.0
+        return (self._number - 1) / duration if duration > 0.0 else float("nan")
+
+    @property
+    def newest(self) -> int:
+        """Stamp of the newest reading [ns]; 0 without any."""
+        return int(self._times[self._number - 1]) if self._number else 0
+
+    def latest(self, trigger: int, period: float) -> int:
+        """The time after which a first reading cannot give a value at a trigger any more [ns].
+
+        Args:
+            trigger: Time of the trigger on the source's clock [ns].
+            period: Period of the trigger [s].
+        """
+        gap = _longest_gap(self.settings, float(np.nan_to_num(self.step)))
+        return self._end(trigger, period) + round(gap * _SECOND)
+
+    def _end(self, trigger: int, period: float) -> int:
+        """The end of the window around a trigger, by the source's stamps [ns]."""
+        settings = self.settings
+        return trigger + round((settings.delay + 0.5 * settings.span(period)) * _SECOND)
+
     def ready(self, trigger: int, period: float) -> bool:
         """Whether later readings cannot change the value at a trigger.
 
@@ -360,12 +409,7 @@ class SourceBuffer:
             trigger: Time of the trigger on the source's clock [ns].
             period: Period of the trigger [s].
         """
-        settings = self.settings
-        if not self._number:
-            return False
-        window = 0.0 if settings.method == "last" else averaging_span(settings.window, period)
-        end = trigger + round((settings.delay + 0.5 * window) * _SECOND)
-        return bool(self._times[self._number - 1] > end)
+        return bool(self._number) and self.newest > self._end(trigger, period)
 
     def at(self, trigger: int, period: float) -> Aligned:
         """The value at a trigger from the readings so far, as `align` gives it for N = 1.

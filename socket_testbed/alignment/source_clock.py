@@ -13,6 +13,8 @@ _QUICK = 0.1  # quantile of the delays of arrival that is little disturbed
 MAX_OFFSET = 0.5  # [s]; between the clocks, beyond which stamps are not comparable
 MAX_CHANGE = 0.004  # [s]; of the offset over the recording
 _MAX_DRIFT = 2e-3  # [-]; more is a clock that was set meanwhile
+_KEPT = 60.0  # [s] of a clock that is being followed
+_REVIEW = 1.0  # [s]; between two reviews of it
 
 
 @dataclass(frozen=True)
@@ -85,3 +87,58 @@ def _line(times: FloatArray, values: FloatArray) -> tuple[float, float]:
     slopes = (values[later] - values[earlier]) / (times[later] - times[earlier])
     slope = float(np.median(slopes))
     return slope, float(np.median(values - slope * times))
+
+
+class RunningClock:
+    """The clock of a source that is being read, from its newest messages.
+
+    Stamps count as they are unless the clock proves to be another one; then they are corrected by
+    the quickest arrivals of the last minute.
+
+    Attributes:
+        clock: The clock of the last minute; None before the first message.
+        is_another: Whether it is not the clock of the recording: set otherwise, or drifting.
+    """
+
+    def __init__(self) -> None:
+        self.clock: SourceClock | None = None
+        self.is_another = False
+        self._parts: list[tuple[IntArray, IntArray]] = []
+        self._first: float | None = None  # offset after half a minute [s]
+        self._due = 0  # next review [ns]
+
+    def add(self, stamps: IntArray, arrivals: IntArray) -> None:
+        """Note some messages, in the order of their arrival.
+
+        Args:
+            stamps: Stamps by the source's clock, shape (k,) [ns], one or more.
+            arrivals: When they arrived, on the clock of the recording, shape (k,) [ns].
+        """
+        self._parts.append((stamps, arrivals))
+        newest = int(arrivals[-1])
+        if self.clock is not None and newest < self._due:
+            return
+        self._due = newest + round(_REVIEW * 1e9)
+        last = float(np.min(arrivals - stamps)) * 1e-9
+        if self.clock is not None and abs(last - self._offset(stamps)) > MAX_OFFSET:
+            self._parts = [(stamps, arrivals)]  # a clock was set
+        joined = [np.concatenate(column) for column in zip(*self._parts, strict=True)]
+        kept = joined[1] >= newest - round(_KEPT * 1e9)
+        self._parts = [(joined[0][kept], joined[1][kept])]
+        self.clock = source_clock(*self._parts[0])
+        offset = self._offset(stamps)
+        if self._first is None and self.clock.duration >= 0.5 * _KEPT:
+            self._first = offset
+        changed = self._first is not None and abs(offset - self._first) > MAX_CHANGE
+        self.is_another = changed or self.clock.is_another
+
+    def _offset(self, stamps: IntArray) -> float:
+        """Time of arrival minus stamp at the last of some stamps (k,) [ns], by the line [s]."""
+        assert self.clock is not None
+        return float(self.clock.to_recording(stamps[-1:])[0] - stamps[-1]) * 1e-9
+
+    def to_recording(self, stamps: IntArray) -> IntArray:
+        """Times on the clock of the recording of stamps of the source, shape (N,) [ns]."""
+        if not self.is_another or self.clock is None:
+            return stamps
+        return self.clock.to_recording(stamps)

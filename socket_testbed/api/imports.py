@@ -26,7 +26,7 @@ from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.results.result import PathLike
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import TriggerSettings, averaging_span
+from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import MAX_DELAY
 from socket_testbed.settings.options import WrenchOf
 from socket_testbed.trials import foreign, foreign_tables, imported
@@ -302,7 +302,7 @@ def trial_of(
     record: dict[str, Any] = {"from": recording.name, **recording.record}
     record["triggers"] = _trigger_record(chosen, triggers)
     for name, own in sources.items():
-        window = averaging_span(settings[name].window, period)
+        window = settings[name].span(period)
         record[name] = {"topic": own.topic, "type": own.type}
         record[name] |= imported.described(aligned[name], settings[name], window)
         if getattr(chosen, name).delay == imported.AUTO:

@@ -30,10 +30,18 @@ from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, c
 from socket_testbed.files import check_new_folder, disk_hint, is_held
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live import bringup
-from socket_testbed.live.doctor import REPORTING, examine, examine_running, press_test
+from socket_testbed.live.doctor import (
+    Outcome,
+    examine,
+    examine_running,
+    judge_sources,
+    press_test,
+    running_drivers,
+)
 from socket_testbed.live.hardware import find_user
-from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.processes import Graph, GraphNode, require_ros
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
+from socket_testbed.live.sources import absent_topics, check_sources
 from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.options import (
     EstimatorOptions,
@@ -134,17 +142,19 @@ def doctor(call: calls.Doctor) -> None:
             for name, value in faults.items():
                 world.faults.switch(name, value)
         if call.press:
-            clusters = testbed.settings.cluster_node.names
+            clusters = testbed.settings.cluster_names
             if user is not None:
                 raise user
             findings = list(press_test(testbed, partial(_ask, world, clusters)))
         elif user is not None:
             from socket_testbed.nodes.controls import reported_states  # needs ROS
 
-            states = reported_states(REPORTING, testbed.namespace)
+            states = reported_states(running_drivers(testbed), testbed.namespace)
             findings = examine_running(testbed, user, states)
         else:
             findings = examine(testbed)
+        if not call.press and testbed.settings.align_node.is_used:
+            findings += _foreign_findings(testbed)
     rows = [[f.what, "failed" if f.hint else "ok", f.found, f.hint] for f in findings]
     print(table(["what", "", "found", "hint"], rows))
     failing = sum(bool(finding.hint) for finding in findings)
@@ -152,9 +162,22 @@ def doctor(call: calls.Doctor) -> None:
         raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's hints")
 
 
+def _foreign_findings(testbed: bringup.Testbed) -> list[Outcome]:
+    """Judge the sources of other drivers, by listening to them for some seconds."""
+    check_sources(testbed.settings.align_node)
+    require_ros()
+    from socket_testbed.nodes.foreign_topics import hear_sources  # needs ROS
+
+    namespace = full_namespace(testbed.namespace)
+    settings = testbed.settings
+    return judge_sources(
+        testbed, hear_sources(settings.align_node, settings.cluster_names, namespace)
+    )
+
+
 def _check_faults(faults: Mapping[str, float], testbed: bringup.Testbed) -> None:
     """Refuse a fault of a cluster that there is not."""
-    count = len(testbed.settings.cluster_node.names)
+    count = len(testbed.settings.cluster_names)
     for name, value in faults.items():
         if value > count and (name == "limb.out" or "number of the cluster" in FAULTS[name]):
             hint = f"give 1 to {count}: {name} takes {FAULTS[name]}"
@@ -219,7 +242,7 @@ def run(call: calls.Run) -> None:
             return now >= begin + (duration or math.inf) / testbed.time_scale
 
         try:
-            status.follow(testbed.namespace)
+            status.follow(testbed.namespace, absent_topics(testbed.settings.align_node))
             graph.watch(over, status.say)
         except KeyboardInterrupt:
             status.say("ending")
@@ -299,6 +322,9 @@ def _testbed(simulation: Simulation | None, call: calls.Run) -> bringup.Testbed:
     testbed = configured(simulation, call)
     trigger = testbed.settings.trigger_node
     if call.rate is not None:
+        if trigger.source == "topic":
+            fact = f"--rate is given, and the triggers are the messages on {trigger.topic}"
+            raise ConfigurationError(fact, "leave it out, or set trigger_node's source to timer")
         trigger = dataclasses.replace(trigger, rate=call.rate)
     stored, chosen = testbed.settings.estimator_node, given(call, EstimatorOptions)
     estimator = bringup.predict_with(

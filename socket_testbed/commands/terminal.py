@@ -15,14 +15,14 @@ import tempfile
 import termios
 import time
 import tty
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.tables import NOTHING, Table, duration_text, number
-from socket_testbed.wire.topics import full_namespace
+from socket_testbed.wire.topics import Topic, full_namespace
 
 if TYPE_CHECKING:
     from socket_testbed.nodes.controls import StatusListener
@@ -169,8 +169,14 @@ class StatusLine:
             self._flush()
         self._stack.close()
 
-    def follow(self, namespace: str = "/") -> None:
-        """Follow the graph in a namespace from now on."""
+    def follow(self, namespace: str = "/", absent: Iterable[Topic] = ()) -> None:
+        """Follow the graph in a namespace from now on.
+
+        Args:
+            namespace: The namespace.
+            absent: Topics of a sample that nobody measures in this graph.
+        """
+        self._status.absent = frozenset(absent)
         # Only verbs that run a graph need ROS.
         from socket_testbed.nodes.controls import StatusListener
 

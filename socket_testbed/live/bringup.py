@@ -31,7 +31,9 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip, require_free
 from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
 from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.settings.fields import Settings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
@@ -95,14 +97,16 @@ class Testbed:
     namespace: str = "/"
 
     def __post_init__(self) -> None:
-        names = self.settings.cluster_node.names
+        names = self.settings.cluster_names
         if self.simulation is not None and len(names) > MAX_CLUSTERS:
             fact = f"names {len(names)} clusters, and {MAX_CLUSTERS} can be simulated"
             raise ConfigurationError(f"cluster_node: {fact}", "leave the others out")
         check_names(self.settings.estimator_node.identification, names)
         calibration, socket = read_calibration(self.calibration), read_socket(self.geometry)
-        calibration.require(names, "cluster_node")
-        socket.require(names, f"cluster_node (socket {self.geometry})")
+        named = self.settings.align_node.clusters.names
+        where = "align_node" if named and names == named else "cluster_node"
+        calibration.require(names, where)
+        socket.require(names, f"{where} (socket {self.geometry})")
 
     @property
     def time_scale(self) -> float:
@@ -120,11 +124,14 @@ class Testbed:
         Raises:
             ConfigurationError: If they do not fit together, or name an unknown chip or server.
         """
-        cluster_node = self.settings.cluster_node
-        clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
-        load_cell.check_settings(self.settings.load_cell_node)
-        self._check_lines()
-        if self.simulation is None:
+        cluster_node, own = self.settings.cluster_node, self.settings.own_nodes
+        check_sources(self.settings.align_node)
+        if "cluster_node" in own:
+            clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
+        if "load_cell_node" in own:
+            load_cell.check_settings(self.settings.load_cell_node)
+            self._check_lines()
+        if "mocap_node" in own and self.simulation is None:
             server_address(self.settings.mocap_node)
 
     def _check_lines(self) -> None:
@@ -145,13 +152,17 @@ class Testbed:
         given = self.settings
         geometry, calibration = str(self.geometry), str(self.calibration)
         tare = given.load_cell_node.tare_file or str(folder / "tare.json")
-        acquiring = {
+        acquiring: dict[str, Settings] = {
             "cluster_node": given.cluster_node,
             "load_cell_node": replace(given.load_cell_node, tare_file=tare),
             "mocap_node": replace(given.mocap_node, geometry=geometry),
+            "align_node": self._align_settings(folder),
             "calibration_node": CalibrationNodeSettings(calibration=calibration),
             "estimator_node": replace(given.estimator_node, geometry=geometry),
         }
+        drivers = {"cluster_node", "load_cell_node", "mocap_node", "align_node"}
+        running = {*self.settings.own_nodes, *(("align_node",) if given.align_node.is_used else ())}
+        acquiring = {n: own for n, own in acquiring.items() if n not in drivers or n in running}
         wait_for = tuple(acquiring) if self.record is None else (*acquiring, "recorder_node")
         trigger = replace(given.trigger_node, wait_for=wait_for)
         namespace = full_namespace(self.namespace)
@@ -174,12 +185,25 @@ class Testbed:
             given.recorder_node,
             directory=str(self.record.resolve()),
             record=self.at_once,
+            beside=foreign_topics(given.align_node, given.trigger_node.topic),
+            absent=tuple(topic.name for topic in absent_topics(given.align_node)),
             geometry=geometry,
             calibration=calibration,
             parameters=str(stored),
             metadata=self._store_metadata(folder / METADATA_FILE),
         )
         return [GraphNode("recorder_node", recorder, namespace, self.use_sim_time), *nodes]
+
+    def _align_settings(self, folder: Path) -> AlignSettings:
+        """The settings of the align node, with the files and clusters of the testbed."""
+        given = self.settings.align_node
+        return replace(
+            given,
+            clusters=replace(given.clusters, names=self.settings.cluster_names),
+            geometry=str(self.geometry),
+            calibration=str(self.calibration),
+            tare_file=given.tare_file or str(folder / "tare.json"),
+        )
 
     def _store_metadata(self, path: Path) -> str:
         """Write the new trial's metadata; returns the path, or "" if nothing is stated."""

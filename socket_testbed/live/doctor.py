@@ -19,11 +19,13 @@ from socket_testbed.drivers import ERROR, DeviceBusyError
 from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING, conversion_period
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
-from socket_testbed.errors import DeviceError, TestbedError, fact_and_hint
+from socket_testbed.errors import ConfigurationError, DeviceError, TestbedError, fact_and_hint
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
 from socket_testbed.live.scheduling import LATEST, measure_lateness
+from socket_testbed.live.sources import StreamedSource
+from socket_testbed.settings.alignment import LiveSourceSettings, LiveWrenchSettings
 
 _FRAMES = 1000
 _PULSES = 5
@@ -67,10 +69,32 @@ class Outcome:
     hint: str = ""
 
 
+@dataclass
+class HeardSource:
+    """A source of another driver, and what was heard of it.
+
+    Attributes:
+        source: The source, with the readings.
+        type: Type of its messages, as `package/msg/Type`; empty if nobody publishes it.
+        wrong: What is wrong with its topic, fact and hint in one line; empty if nothing is.
+        ended: The time at which listening ended, since the epoch [ns].
+    """
+
+    source: StreamedSource
+    type: str = ""
+    wrong: str = ""
+    ended: int = 0
+
+
 def examine(testbed: Testbed) -> list[Outcome]:
-    """Check all configured devices, one after the other; a failed check is an outcome too."""
+    """Check all configured devices, one after the other; a failed check is an outcome too.
+
+    Those whose measurements another driver makes are left out.
+    """
     outcomes: list[Outcome] = []
     for check in CHECKS:
+        if _DRIVERS.get(check.__name__, "trigger_node") not in running_drivers(testbed):
+            continue
         try:
             outcomes.extend(check(testbed))
         except TestbedError as error:
@@ -95,7 +119,8 @@ def examine_running(
     if not states:
         return [*outcomes, Outcome("devices", user.fact, user.hint)]
     outcomes.append(Outcome("devices", f"{user.fact}: its own reports follow"))
-    for node, what in REPORTING.items():
+    for node in running_drivers(testbed):
+        what = REPORTING[node]
         if node not in states:
             hint = "end the other program, then call 'doctor' again"
             outcomes.append(Outcome(what, f"no report from {node} of the running testbed", hint))
@@ -137,6 +162,9 @@ def kernel_finding(model: str, release: str) -> Outcome:
 def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
     """Fire pulses and detect their edges."""
     settings, delays = testbed.settings.trigger_node, []
+    if settings.source == "topic":
+        yield Outcome("trigger", f"each message on {settings.topic}; no wire")
+        return
     with closing(make_trigger(settings)) as trigger:
         for _ in range(_PULSES):
             before = clocks.monotonic()
@@ -247,6 +275,66 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
         yield _failure(what, body.fault) if body.fault else Outcome(what, found)
 
 
+def running_drivers(testbed: Testbed) -> list[str]:
+    """The nodes that measure in a testbed, by its settings."""
+    settings = testbed.settings
+    align = ["align_node"] if settings.align_node.is_used else []
+    return ["trigger_node", *settings.own_nodes, *align]
+
+
+def judge_sources(testbed: Testbed, heard: Sequence[HeardSource]) -> list[Outcome]:
+    """Judge the sources of other drivers: rate, age, clock and frame.
+
+    Args:
+        testbed: The testbed, whose trigger and waiting time they serve.
+        heard: What was heard of each.
+    """
+    settings = testbed.settings
+    rate, wait = settings.trigger_node.rate, settings.align_node.wait
+    outcomes = [_judge_source(own, rate, wait) for own in heard]
+    frames = {
+        own.source.name: own.source.frame for own in heard if own.source.name.endswith("pose")
+    }
+    if len({*frames.values()}) > 1 and all(frames.values()):
+        found = " and ".join(f"{name} in {frame}" for name, frame in frames.items())
+        outcomes.append(Outcome("frame of the poses", found, "give both in one frame at rest"))
+    return outcomes
+
+
+def _judge_source(heard: HeardSource, trigger_rate: float, wait: float) -> Outcome:
+    """Judge a source for triggers at a rate [Hz], for which the align node waits [s]."""
+    source = heard.source
+    what, topic = source.name, source.settings.topic
+    if heard.wrong:
+        return _failure(what, heard.wrong)
+    level, message = source.health(heard.ended)
+    if level:
+        return _failure(what, message.removeprefix(f"{what}: "))
+    parts = [f"{topic}: {heard.type}", f"{source.rate:.3g} Hz"]
+    if source.name != "clusters":
+        parts += [f"frame {source.frame or 'not stated'}{_in_load_cell(source.settings)}"]
+    if source.unstamped:
+        parts.append("without stamps: the times of arrival count")
+    else:
+        age = 1e3 * source.age(heard.ended)
+        parts.append(f"{1e3 * source.late:.1f} ms from stamp to arrival, newest {age:.0f} ms old")
+    found, hint = ", ".join(parts), ""
+    if source.rate < trigger_rate:
+        hint = f"raise its rate above the trigger's {trigger_rate:g} Hz, or lower the trigger's"
+    elif source.late > wait:
+        hint = f"set align_node's wait, {wait:g} s, above its delay of arrival"
+    return Outcome(what, found, hint)
+
+
+def _in_load_cell(settings: LiveSourceSettings) -> str:
+    """How the frame of a wrench becomes {S}, in words; empty for other sources."""
+    if not isinstance(settings, LiveWrenchSettings):
+        return ""
+    usual = LiveWrenchSettings()
+    stated = (settings.rotation, settings.translation) != (usual.rotation, usual.translation)
+    return ", brought into {S}" if stated else ", taken as {S}"
+
+
 CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
     check_kernel,
     check_trigger,
@@ -256,6 +344,12 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
     check_motion_capture,
 )
 
+# The node that uses the device of each check:
+_DRIVERS = {
+    "check_clusters": "cluster_node",
+    "check_load_cell": "load_cell_node",
+    "check_motion_capture": "mocap_node",
+}
 
 # The nodes whose reports stand for the checks of their devices while a testbed runs:
 REPORTING = {
@@ -263,6 +357,7 @@ REPORTING = {
     "cluster_node": "clusters",
     "load_cell_node": "load cell",
     "mocap_node": "motion capture",
+    "align_node": "sources of other drivers",
 }
 
 
@@ -283,10 +378,16 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
         The outcome of each press, as soon as it is known.
 
     Raises:
+        ConfigurationError: If another driver measures the clusters or the wrench.
         DeviceError: If a cluster gives no reading without load.
     """
     geometry = read_socket(testbed.geometry)
     names = testbed.settings.cluster_node.names
+    if lacking := {"cluster_node", "load_cell_node"} - {*testbed.settings.own_nodes}:
+        raise ConfigurationError(
+            f"--press reads the testbed's own chips, and {sorted(lacking)[0]} is not used",
+            "press on each cluster, and look at clusters/stress",
+        )
     outward = [-geometry.rotations[geometry.clusters[name], :, 2] for name in names]
     with _readings(testbed) as read:
         ask("let go")

@@ -20,8 +20,9 @@ class GraphStatus:
     """Counts the samples of a graph, and compares predictions with measurements.
 
     Attributes:
+        absent: Topics that nobody measures in this graph, without which a sample is complete.
         triggers: Number of triggers.
-        complete: Number of triggers with all measurements present and valid.
+        complete: Number of triggers with all its measurements present and valid.
         wrench: The newest measured wrench [M; F] in {S}, shape (6,) [N m, N]; None before any.
         variant: Variant of the predicting model; empty before the first.
         trial: Name of the trial being recorded; empty if none.
@@ -30,6 +31,7 @@ class GraphStatus:
     """
 
     def __init__(self) -> None:
+        self.absent: frozenset[topics.Topic] = frozenset()
         self.triggers = 0
         self.complete = 0
         self.wrench: FloatArray | None = None
@@ -83,9 +85,9 @@ class GraphStatus:
             _keep_newest(self._measured)
         is_clusters = topic is topics.CAPACITANCE
         missing = np.isin(values.status, WITHOUT_VALUE) if is_clusters else np.isnan(values)
-        if not missing.any():
+        if not missing.any() and topic not in self.absent:
             self._pending.setdefault(stamp, set()).add(topic)
-            if len(self._pending[stamp]) == len(topics.REQUIRED):
+            if len(self._pending[stamp]) == len({*topics.REQUIRED} - self.absent):
                 del self._pending[stamp]
                 self.complete += 1
             _keep_newest(self._pending)

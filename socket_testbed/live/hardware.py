@@ -46,8 +46,12 @@ def find_user(settings: TestbedSettings) -> DeviceBusyError | None:
 
     A bus that is not there or not permitted counts as free: its node reports it.
     """
-    names = {f"i2c-{number}" for number in settings.cluster_node.buses}
-    for name in [*sorted(names), f"spidev{settings.load_cell_node.device}"]:
+    names: list[str] = []
+    if "cluster_node" in settings.own_nodes:
+        names += sorted({f"i2c-{number}" for number in settings.cluster_node.buses})
+    if "load_cell_node" in settings.own_nodes:
+        names.append(f"spidev{settings.load_cell_node.device}")
+    for name in names:
         with suppress(OSError):
             file = os.open(_DEVICES / name, os.O_RDWR | os.O_NONBLOCK)
             try:
@@ -87,7 +91,7 @@ def _require_real_time() -> None:
 
 def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
     """Create the trigger: a timer, or wired lines of the machine or of a simulated world."""
-    if settings.source == "timer":
+    if settings.source != "gpio":
         return gpio.TimerTrigger()
     if settings.simulation:
         faults = World(Path(settings.simulation)).faults

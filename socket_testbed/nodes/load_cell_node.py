@@ -6,37 +6,21 @@ event, /diagnostics. Services: load_cell/tare, load_cell/force_tare.
 
 from __future__ import annotations
 
-import math
 import threading
-from functools import partial
 from typing import Any
 
 import numpy as np
-from socket_testbed_msgs.msg import Event
-from std_msgs.msg import String
-from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
-from socket_testbed.drivers.load_cell.load_cell import check_settings, in_words, pressed
-from socket_testbed.errors import DeviceError
+from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.live.hardware import make_load_cell
-from socket_testbed.nodes.base import OK, WARN, header_to_ros, recorded_trial
+from socket_testbed.nodes.base import OK, WARN
 from socket_testbed.nodes.sensor_node import SensorNode
+from socket_testbed.nodes.taring import TareServices
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
 from socket_testbed.wire.messages import load_cell_raw_packer, wrench_packer
-from socket_testbed.wire.topics import (
-    EVENT,
-    LOAD_CELL_RAW,
-    RECORDED_TRIAL,
-    STRESS,
-    TARE,
-    WRENCH,
-    Service,
-)
+from socket_testbed.wire.topics import LOAD_CELL_RAW, WRENCH
 
-# Older stresses of the clusters do not count at a tare:
-_RECENT = 1.0  # [s]
-_RECENT_PERIODS = 3.0  # [-]; of the trigger
 _CONVERSION_TIMEOUT = 0.05  # [s]; for the conversions after a trigger
 
 
@@ -69,14 +53,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         )
         self._polling.start()
         self.follow_triggers()
-        self._stresses: tuple[dict[str, Any], float] = {}, -math.inf  # newest, arrival [s]
-        self.follow(STRESS, self._on_stress, needed=False)
-        self._events = self.advertise(EVENT)
-        self._trial = ""  # being recorded
-        self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
-        self.serve(TriggerService, Service.TARE, self._tare, slow=True)
-        forced = partial(self._tare, forced=True)
-        self.serve(TriggerService, Service.FORCE_TARE, forced, slow=True)
+        self._taring = TareServices(self, self._cell.tare, self.trigger_time, lambda: self.period)
 
     def _read_settings(self, changes: dict[str, Any]) -> LoadCellSettings:
         settings = super()._read_settings(changes)
@@ -120,42 +97,6 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
             self.fault.note(reading.fault)
         self._send_wrench(stamp, reading.wrench)
         self._send_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
-
-    def _tare(self, forced: bool = False) -> str:
-        """Tare, and publish it as an event for the recorder, with the removed wrench [N, N m].
-
-        Raises:
-            DeviceError: If a trial is being recorded or a cluster is pressed, and the tare is not
-                forced, or the load cell cannot be tared now.
-        """
-        trial = recorded_trial(self, self._trial)
-        if trial and not forced:
-            raise DeviceError(
-                f"cannot tare: the trial {trial} is being recorded",
-                "stop the recording, or force it (load_cell/force_tare)",
-            )
-        stresses, arrival = self._stresses
-        now = clocks.monotonic()
-        if now - arrival > max(_RECENT, _RECENT_PERIODS * self.period):
-            stresses = {}
-        if (found := pressed(stresses, self.settings)) and not forced:
-            raise DeviceError(
-                f"cannot tare: {found}",
-                "take the limb out of the socket; if nothing touches them, force it"
-                " (load_cell/force_tare)",
-            )
-        stamp = self.trigger_time.stamp(now)
-        removed = f"removed {in_words(self._cell.tare(stamp, forced))}"
-        self._events.publish(Event(header=header_to_ros(stamp), label=f"{TARE} {removed}"))
-        return f"tared: {removed}"
-
-    def _on_stress(self, stamp: int, stresses: dict[str, Any]) -> None:
-        """Note the newest stresses by cluster [Pa], and when they arrived [s]."""
-        self._stresses = stresses, clocks.monotonic()
-
-    def _on_recorded(self, message: String) -> None:
-        """Note the name of the trial being recorded; empty if none."""
-        self._trial = message.data
 
     def health(self) -> tuple[int, str]:
         """The converter's health, or the latest fault."""

@@ -1,6 +1,7 @@
 """Recorder node: records the topics of the testbed as raw bytes into a trial (MCAP).
 
-Subscribes: the topics of the testbed; the maps with `everything`. Service: recorder/record.
+Subscribes: the topics of the testbed; the maps with `everything`; topics of other programs, whose
+names the setting `beside` has. Service: recorder/record.
 Publishes: /diagnostics, and recorder/trial (std_msgs/String, latched): the name (last path
 component) of the trial being recorded, empty if none.
 
@@ -35,13 +36,20 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
 from socket_testbed.files import disk_hint, is_held, is_reachable, refuse_existing
-from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
+from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, Inbox, TestbedNode
+from socket_testbed.nodes.foreign_topics import ForeignTopic
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
-from socket_testbed.trials import metadata
+from socket_testbed.trials import foreign, metadata
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.bag_parts import is_bag
+from socket_testbed.trials.imported import original_name
 from socket_testbed.trials.trial import read_configuration, store_configuration
-from socket_testbed.wire.topics import RECORDED_TRIAL, TOPICS, Service
+from socket_testbed.wire.topics import RECORDED_TRIAL, TOPICS, Service, Topic, full_name
+
+# Topics of other programs:
+_TAKE_PERIOD = 0.1  # [s]
+_LOOK_PERIOD = 0.5  # [s]; of looks for publishers
+_WARN = 10.0  # [s]; between two warnings
 
 _SILENCE_TIMEOUT = 10.0  # [s]; for a graph to start
 
@@ -72,10 +80,22 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._announcer = self.advertise(RECORDED_TRIAL)
         chosen = [topic for topic in TOPICS if settings.everything or not topic.unrecorded]
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in chosen}
-        self._required = [name for name, topic in self._topics.items() if topic.required]
+        self._required = [
+            name
+            for name, topic in self._topics.items()
+            if topic.required and topic.name not in settings.absent
+        ]
         for name, topic in self._topics.items():
             callback = partial(self._on_message, name)
-            self.listen(topic, callback, name, needed=topic.required, raw=True)
+            self.listen(topic, callback, name, needed=name in self._required, raw=True)
+        self._inbox: Inbox | None = None
+        self._beside: list[ForeignTopic] = []
+        if settings.beside:
+            self._inbox = Inbox(self.get_name(), self.get_namespace(), {})
+            names = [full_name(name, self.get_namespace()) for name in settings.beside]
+            self._beside = [ForeignTopic(self._inbox.node, name, foreign.TYPES) for name in names]
+            self.repeat(_TAKE_PERIOD, self._take)
+            self.repeat(_LOOK_PERIOD, self._look)
         self.serve(SetBool, Service.RECORD, self._on_record)
         self.repeat(settings.flush_period, self._flush)
         self._announce()
@@ -131,7 +151,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         elif not wanted:
             if self._bag is None:
                 return "nothing was being recorded"
-            self.close()
+            self._end()
             if self._level == ERROR:  # the disk failed
                 raise TestbedError(*fact_and_hint(self._message))
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
@@ -194,6 +214,15 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self.report(OK, f"recording {path}")
 
     def close(self) -> None:
+        """Close the trial, if one is being recorded, and stop listening to other programs."""
+        self._take()
+        self._end()
+        if self._inbox is not None:
+            self._beside = []
+            self._inbox.close()
+            self._inbox = None
+
+    def _end(self) -> None:
         """Close the trial, if one is being recorded."""
         if self._bag is None:
             return
@@ -214,6 +243,26 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         with self._until_disk_fails(self._bag):
             self._bag.write(name, self._now(), data)
             self._counts[name] += 1
+
+    def _look(self) -> None:
+        """Subscribe to the topics of other programs that are there now."""
+        for topic in self._beside:
+            if wrong := topic.look():
+                self.get_logger().warning(f"not recorded: {wrong}", throttle_duration_sec=_WARN)
+
+    def _take(self) -> None:
+        """Record what has arrived on the topics of other programs."""
+        for topic in self._beside:
+            for time, data in topic.take(self._now):
+                if self._bag is None:
+                    continue
+                name = original_name(topic.name)
+                if name not in self._counts:
+                    self._bag.add_topic(name, Topic(name, topic.type))
+                    self._counts[name] = 0
+                with self._until_disk_fails(self._bag):
+                    self._bag.write(name, time, data)
+                    self._counts[name] += 1
 
     def _flush(self) -> None:
         if self._bag is not None:

@@ -1,6 +1,7 @@
 """Trigger node: one trigger for all sensors, with the timestamp of all measurements.
 
-Subscribes: trigger, /diagnostics. Publishes: trigger, /diagnostics; /clock while a simulated
+Subscribes: trigger, /diagnostics, and with source `topic` the topic of another program, each
+message of which is a trigger. Publishes: trigger, /diagnostics; /clock while a simulated
 testbed runs slower than real time. Service: trigger/enable.
 
 The stamp is the system clock at the start of the testbed, advanced by the steady clock, because the
@@ -9,8 +10,10 @@ system clock may be set during a trial. The sequence counts pulses: an unseen pu
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
+from typing import TYPE_CHECKING
 
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -18,13 +21,14 @@ from std_srvs.srv import SetBool
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.gpio import LinesError, Trigger
-from socket_testbed.errors import DeviceError
+from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import (
     ERROR,
     OK,
     TRIGGERS,
     WARN,
+    Inbox,
     RecentFault,
     TestbedNode,
     stamp_to_ros,
@@ -32,12 +36,18 @@ from socket_testbed.nodes.base import (
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import READY_TIMEOUT, TriggerSettings
 from socket_testbed.wire.messages import trigger_packer
-from socket_testbed.wire.topics import CLOCK, TRIGGER, Service
+from socket_testbed.wire.topics import CLOCK, TOPICS, TRIGGER, Service, full_name
+
+if TYPE_CHECKING:
+    from socket_testbed.live.sources import TriggerStream
 
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
 _LINGER = 0.05  # [s]; a busy node may not have received the last trigger when its publisher ends
 _MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
 _TICK_PERIOD = 0.02  # [s]; of /clock, in real time
+_TAKE_PERIOD = 0.002  # [s]; of looks at the messages of another program
+_LOOK_PERIOD = 0.5  # [s]; of looks for its publisher
+_LISTEN_TIME = 2.0  # [s]; to a topic before its state is reported
 _STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
 
 
@@ -61,6 +71,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._unseen = 0
         self._skipped = 0
         self._stray = 0  # edges of lines that were closed
+        self._listening = math.inf  # since this time of the steady clock [s]
+        self._wrong = ""  # with the topic of another program
         self._lost = ""  # the fault that closed them, until the next trigger
         self._fault = RecentFault()
         self._reopening = clocks.Backoff()
@@ -70,6 +82,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._stopping = threading.Event()
         self._own: deque[int] = deque(maxlen=_MAX_REMEMBERED)
         self._foreign = 0.0
+        self._stream = self._foreign_stream()
         self._send = self.sender(TRIGGER, trigger_packer())
         self.follow(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
@@ -121,6 +134,9 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             # The first trigger must reach all nodes that measure.
             if lacking := self._followers.await_links(READY_TIMEOUT):
                 self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
+            if self._stream is not None:
+                self._follow_topic(self._stream)
+                return
             due = clocks.monotonic()
             while not self._stopping.is_set():
                 if not self._enabled.is_set():
@@ -138,6 +154,44 @@ class TriggerNode(TestbedNode[TriggerSettings]):
                     self._fire()
             if self._trigger is not None:
                 self._trigger.close()
+
+    def _foreign_stream(self) -> TriggerStream | None:
+        """The triggers of another program; None if this node makes its own.
+
+        Raises:
+            ConfigurationError: If their topic is one that the testbed publishes.
+        """
+        if self.settings.source != "topic":
+            return None
+        from socket_testbed.live.sources import TriggerStream  # memory that others need not
+
+        topic = self.settings.topic
+        name = full_name(topic, self.get_namespace())
+        if name in {full_name(own.name, self.get_namespace()) for own in TOPICS}:
+            fact = f"trigger_node: topic is {topic}, which the testbed publishes itself"
+            raise ConfigurationError(fact, "give the other program's topic another name")
+        return TriggerStream(topic)
+
+    def _follow_topic(self, stream: TriggerStream) -> None:
+        """Publish a trigger with each message of another program, until the node closes."""
+        from socket_testbed.nodes.foreign_topics import ForeignTopic
+        from socket_testbed.trials.bag import RawMessage
+        from socket_testbed.trials.foreign import TRIGGERS
+
+        inbox = Inbox(self.get_name(), self.get_namespace(), {})
+        name = full_name(self.settings.topic, self.get_namespace())
+        topic, look = ForeignTopic(inbox.node, name, TRIGGERS), 0.0
+        self._listening = clocks.monotonic()
+        while not self._stopping.wait(clocks.real(_TAKE_PERIOD)):
+            if (now := clocks.monotonic()) >= look:
+                look, self._wrong = now + _LOOK_PERIOD, topic.look()
+            taken = topic.take(self._epoch.now)
+            for stamp in stream.receive([RawMessage(name, topic.type, *own) for own in taken]):
+                if self._enabled.is_set():
+                    self._sequence += 1
+                    self._own.append(stamp)
+                    self._send(stamp, self._sequence)
+        inbox.close()
 
     def _fire(self) -> None:
         """Fire one pulse and publish its trigger; a fault is noted instead."""
@@ -202,5 +256,9 @@ class TriggerNode(TestbedNode[TriggerSettings]):
                 f"the system clock was set by {step:+.3f} s: stamps continue steadily;"
                 " restart after the trial to adopt the new time",
             )
+        elif self._wrong:
+            self.report(ERROR, self._wrong)
+        elif self._stream is not None and clocks.monotonic() > self._listening + _LISTEN_TIME:
+            self.report(*self._stream.health(self._epoch.now()))
         elif self._sequence:
             self.report(OK, f"triggering at {rate:g} Hz")

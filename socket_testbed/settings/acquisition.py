@@ -38,9 +38,14 @@ class TriggerSettings(Settings):
     """Parameters of the trigger node."""
 
     source: str = fixed(
-        "gpio", "gpio: a pulse with a kernel timestamp; timer: the steady clock alone [-]",
-        choices=("gpio", "timer"),
-    )  # fmt: skip
+        "gpio",
+        "gpio: a pulse with a kernel timestamp; timer: the steady clock alone; topic: the messages"
+        " of another program [-]",
+        choices=("gpio", "timer", "topic"),
+    )
+    topic: str = fixed(
+        "", "topic of another program, each message of which is a trigger, for source topic [-]"
+    )
     rate: float = setting(4.0, "rate of the trigger [Hz]", 0.1, 500.0)
     enabled: bool = fixed(True, "start triggering at once; see trigger/enable [-]")
     wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first trigger [-]")
@@ -57,6 +62,9 @@ class TriggerSettings(Settings):
         if self.source == "gpio" and self.output_line == self.input_line:
             fact = f"output_line and input_line are both {self.output_line}"
             raise ConfigurationError(fact, "give two lines, and wire one to the other")
+        if (self.source == "topic") != bool(self.topic):
+            fact = f"source is {self.source} and topic is '{self.topic}'"
+            raise ConfigurationError(fact, "give a topic with source topic, and with no other")
         if self.pulse * self.rate > MAX_PULSE:
             fact = f"a pulse of {self.pulse:g} s is too long for {self.rate:g} Hz"
             hint = f"set pulse to {1e-6 * int(1e6 * MAX_PULSE / self.rate):g} s or less"
@@ -102,7 +110,24 @@ class ClusterSettings(Settings):
 
 
 @dataclass(frozen=True)
-class LoadCellSettings(Settings):
+class TareSettings(Settings):
+    """How a wrench is tared."""
+
+    tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, MAX_TARE)
+    tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
+    tare_moment: float = setting(0.2, "largest deviation of a moment while taring [N m]", 1e-4, 1e2)
+    tare_load: float = setting(
+        40.0, "largest force that an unforced tare removes; a tenth of the lightest person's weight"
+        " [N]", 1.0, 1e5,
+    )  # fmt: skip
+    tare_pressure: float = setting(
+        5e3, "largest normal stress of a cluster at an unforced tare [Pa]", 100.0, 1e7
+    )
+    tare_file: str = fixed("", "file that keeps the tare across restarts; empty: none [-]")
+
+
+@dataclass(frozen=True)
+class LoadCellSettings(TareSettings):
     """Parameters of the load-cell node."""
 
     device: str = fixed("0.0", "bus and chip select N.M of /dev/spidevN.M [-]")
@@ -144,17 +169,6 @@ class LoadCellSettings(Settings):
         -1.0, "span centred on a trigger to average its wrench, if the window is shorter;"
         f" negative: the trigger's period, at most {MAX_SPAN}; 0: the window alone [s]", -1.0, 0.5,
     )  # fmt: skip
-    tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, MAX_TARE)
-    tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
-    tare_moment: float = setting(0.2, "largest deviation of a moment while taring [N m]", 1e-4, 1e2)
-    tare_load: float = setting(
-        40.0, "largest force that an unforced tare removes; a tenth of the lightest person's weight"
-        " [N]", 1.0, 1e5,
-    )  # fmt: skip
-    tare_pressure: float = setting(
-        5e3, "largest normal stress of a cluster at an unforced tare [Pa]", 100.0, 1e7
-    )
-    tare_file: str = fixed("", "file that keeps the tare across restarts; empty: none [-]")
     scheduling: SchedulingSettings = SchedulingSettings()
 
 

@@ -117,6 +117,14 @@ def _entry(name: str, declared: Settings | dataclasses.Field[Any]) -> str:
     )
 
 
+def _inherited(base: type[Any]) -> list[tuple[str, Settings | dataclasses.Field[Any]]]:
+    """The fields of a base class that is a dataclass, by name."""
+    found = dataclasses.fields(base) if dataclasses.is_dataclass(base) else ()
+    return [
+        (item.name, item.default if isinstance(item.default, Settings) else item) for item in found
+    ]
+
+
 @dataclass(frozen=True)
 class Settings:
     """Base class of all settings; construction checks the type and range of every field.
@@ -132,11 +140,13 @@ class Settings:
         """
         super().__init_subclass__(**options)
         if cls.__doc__:  # `python -OO` strips it
-            entries = (
-                _entry(name, declared)
-                for name, declared in vars(cls).items()
-                if isinstance(declared, Settings | dataclasses.Field)
-            )
+            declared = {name: item for base in cls.__bases__ for name, item in _inherited(base)}
+            declared |= {
+                name: item
+                for name, item in vars(cls).items()
+                if isinstance(item, Settings | dataclasses.Field)
+            }
+            entries = (_entry(name, item) for name, item in declared.items())
             cls.__doc__ = "\n".join([inspect.cleandoc(cls.__doc__), "\nAttributes:", *entries])
 
     def __post_init__(self) -> None:

@@ -19,6 +19,7 @@ from socket_testbed.settings.acquisition import (
     MocapSettings,
     TriggerSettings,
 )
+from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
     FitChoices,
@@ -119,6 +120,8 @@ class RecorderSettings(Settings):
     parameters: str = fixed("", "path of the testbed.yaml to store; empty: the package's own [-]")
     metadata: str = fixed("", "path of a trial.yaml as template for every trial; empty: none [-]")
     everything: bool = fixed(False, "also record the maps, which a replay recomputes [-]")
+    beside: tuple[str, ...] = fixed((), "topics of other programs to record as well [-]")
+    absent: tuple[str, ...] = fixed((), "topics that this testbed does not measure [-]")
     next: NextTrialSettings = NextTrialSettings()
     flush_period: float = fixed(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
 
@@ -165,6 +168,7 @@ class TestbedSettings(Settings):
     cluster_node: ClusterSettings = field(default_factory=ClusterSettings)
     load_cell_node: LoadCellSettings = field(default_factory=LoadCellSettings)
     mocap_node: MocapSettings = field(default_factory=MocapSettings)
+    align_node: AlignSettings = field(default_factory=AlignSettings)
     calibration_node: CalibrationNodeSettings = field(default_factory=CalibrationNodeSettings)
     estimator_node: EstimatorSettings = field(default_factory=EstimatorSettings)
     recorder_node: RecorderSettings = field(default_factory=RecorderSettings)
@@ -174,6 +178,27 @@ class TestbedSettings(Settings):
     def nodes(self) -> dict[str, Settings]:
         """Settings of each node by its name, such as `trigger_node`."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    @property
+    def cluster_names(self) -> tuple[str, ...]:
+        """Names of the clusters, measured by own chips or another driver; empty without any."""
+        clusters = self.align_node.clusters
+        if clusters.topic == NONE:
+            return ()
+        own = self.cluster_node.names
+        return clusters.names or own if clusters.is_foreign else own
+
+    @property
+    def own_nodes(self) -> tuple[str, ...]:
+        """The nodes of own drivers whose measurements no other driver makes."""
+        align = self.align_node
+        poses = align.socket_pose.topic, align.pylon_pose.topic
+        own = {
+            "cluster_node": align.clusters.topic == OWN,
+            "load_cell_node": align.wrench.topic == OWN,
+            "mocap_node": poses == (OWN, OWN),
+        }
+        return tuple(name for name, is_own in own.items() if is_own)
 
 
 # These belong to a single run on one machine and are not stored with a trial.

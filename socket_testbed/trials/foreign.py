@@ -15,16 +15,16 @@ from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSer
 from socket_testbed.alignment.source_clock import source_clock
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import TrialError, closest, listed, option_of
+from socket_testbed.settings.alignment import NONE
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.wire import cdr, topics
 
 Source: TypeAlias = Literal["wrench", "socket_pose", "pylon_pose", "clusters"]
 SOURCES: tuple[Source, ...] = get_args(Source)
-NONE = "none"  # a source that is left out on purpose
 TRANSFORM = "tf:"  # begins a source that is a transform, such as tf:world/socket
 
 _WRENCHES = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
-_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _POSES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -38,6 +38,8 @@ KINDS: dict[Source, tuple[str, ...]] = {
     "pylon_pose": _POSES,
     "clusters": _CLUSTERS,
 }
+TRIGGERS = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *_CLUSTERS)
+TYPES = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *_CLUSTERS, TRANSFORMS)  # all that can be read
 WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics and bodies
     "socket_pose": ("socket",),
     "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
@@ -53,6 +55,7 @@ LACKING: dict[Source, str] = {  # what a trial cannot do without the source
 }
 _CHANNEL = re.compile(r"(?P<cluster>.+?)[._/: -]?(?P<channel>[0-3])")
 _MAX_LAYOUTS = 200
+_REMEMBERED = 20  # layouts, of a topic that is being read
 _MAX_LISTED = 4
 
 
@@ -167,7 +170,7 @@ def _check_topic(bag: BagReader, source: Source, name: str) -> None:
             fact = f"{option} is '{name}'"
             raise TrialError(fact, "give a topic, or for a pose tf:PARENT/CHILD")
         if not _transform_topics(bag):
-            fact = f"{bag.path}: holds no {_TRANSFORMS}, for {option} {name}"
+            fact = f"{bag.path}: holds no {TRANSFORMS}, for {option} {name}"
             raise TrialError(fact, "record /tf, or name a topic with poses")
         return
     if not bag.counts.get(name):
@@ -182,7 +185,7 @@ def _check_topic(bag: BagReader, source: Source, name: str) -> None:
 
 
 def _transform_topics(bag: BagReader) -> list[str]:
-    return [n for n, kind in bag.types.items() if kind == _TRANSFORMS and bag.counts.get(n)]
+    return [n for n, kind in bag.types.items() if kind == TRANSFORMS and bag.counts.get(n)]
 
 
 def read_messages(
@@ -206,9 +209,17 @@ def read_messages(
     return dict(messages)
 
 
-def read_stamps(messages: Sequence[RawMessage]) -> IntArray:
-    """Times of messages, from their headers or, without one, of their arrival, (N,) [ns]."""
-    parts = [stamps for _, stamps, _, _ in _decoded(messages)]
+def read_stamps(messages: Sequence[RawMessage], known: Layouts | None = None) -> IntArray:
+    """Times of messages, from their headers or, without one, of their arrival, (N,) [ns].
+
+    Args:
+        messages: The messages, of one type.
+        known: Layouts of earlier messages, to which new ones are added; None for none.
+    """
+    parts = [
+        np.where(stamps == 0, arrivals, stamps)
+        for arrivals, stamps, _, _ in _decoded(messages, known=known)
+    ]
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
 
@@ -234,7 +245,7 @@ def read_source(
             message
             for received in messages.values()
             for message in received
-            if message.type == _TRANSFORMS
+            if message.type == TRANSFORMS
         ]
     else:
         own = [*messages.get(name, ())]
@@ -282,29 +293,75 @@ def _series(source: Source, times: IntArray, values: FloatArray, names: tuple[st
 _Part: TypeAlias = tuple[IntArray, IntArray, FloatArray, tuple[str, ...]]
 """Stamps and arrivals [ns], values, and the frame or the names of the clusters."""
 
+Layouts: TypeAlias = list[tuple[cdr.Layout, Any]]
+"""Layouts of messages of one type, each with a decoded sample."""
+
+
+class SourceReader:
+    """Reads a source's messages as they arrive, with the layouts of the earlier ones.
+
+    Args:
+        source: Which source.
+        name: Its topic, or `tf:PARENT/CHILD`.
+        clusters: Names of clusters for an array that has none, in its order, four values each.
+    """
+
+    def __init__(self, source: Source, name: str, clusters: Sequence[str] = ()) -> None:
+        self._source = source
+        self._name = name
+        self._clusters = clusters
+        self._known: Layouts = []
+
+    def parts(self, messages: Sequence[RawMessage], notes: list[str]) -> Iterator[_Part]:
+        """The values of messages of one type, in parts.
+
+        Args:
+            messages: The messages, in the order of their arrival.
+            notes: Gets a line about messages that cannot be decoded.
+
+        Yields:
+            Stamps, 0 without a header, and arrivals [ns], shape (k,); values, shape (k, ...) in the
+            units of the series; the frame, or the names of the clusters.
+
+        Raises:
+            TrialError: If the messages are not such a source.
+        """
+        yield from _values(self._source, self._name, messages, self._clusters, notes, self._known)
+        del self._known[:-_REMEMBERED]
+
 
 def _decoded(
-    messages: Sequence[RawMessage], notes: list[str] | None = None
+    messages: Sequence[RawMessage],
+    notes: list[str] | None = None,
+    known: Layouts | None = None,
 ) -> Iterator[tuple[IntArray, IntArray, cdr.Record, Any]]:
     """Arrivals and stamps [ns], numbers and one sample of messages, each part of one layout.
 
-    Without a header the stamps are the arrivals.
+    Without a header the stamps are the arrivals. The known layouts are tried first, and new ones
+    are added to them.
     """
+    known = [] if known is None else known
     if not messages:
         return
     kind, name = messages[0].type, messages[0].topic
     arrivals = np.array([message.time for message in messages], dtype=np.int64)
     left, refused = np.arange(len(messages)), 0
-    for _ in range(_MAX_LAYOUTS):
+    for tried in range(_MAX_LAYOUTS):
         if not len(left):
             break
-        first = messages[left[0]].data
-        try:
-            layout, sample = cdr.Layout(first, kind), cdr.decode(first, kind)
-        except Exception:  # the library may raise any exception
-            left, refused = left[1:], refused + 1
-            continue
+        if tried - refused < len(known):
+            layout, sample = known[tried - refused]
+        else:
+            first = messages[left[0]].data
+            try:
+                layout, sample = cdr.Layout(first, kind), cdr.decode(first, kind)
+            except Exception:  # the library may raise any exception
+                left, refused = left[1:], refused + 1
+                continue
+            known.append((layout, sample))
         records, fits = layout.records([messages[row].data for row in left.tolist()])
+        if not len(records):
+            continue
         own = arrivals[left[fits]]
         stamps = cdr.stamps_of(records) if "header" in (records.dtype.names or ()) else own
         yield own, stamps, records, sample
@@ -320,11 +377,12 @@ def _values(
     messages: Sequence[RawMessage],
     clusters: Sequence[str],
     notes: list[str],
+    known: Layouts | None = None,
 ) -> Iterator[_Part]:
     """The values of messages of one kind, in parts."""
     kind = messages[0].type if messages else ""
-    for arrivals, stamps, records, sample in _decoded(messages, notes):
-        if kind == _TRANSFORMS:
+    for arrivals, stamps, records, sample in _decoded(messages, notes, known):
+        if kind == TRANSFORMS:
             yield from _transforms(name, arrivals, records, sample)
             continue
         values, names = _READERS[kind](name, records, sample, clusters)

@@ -44,8 +44,9 @@ from socket_testbed.alignment.units import UNITS, factor
 from socket_testbed.cells import TextTable
 from socket_testbed.errors import ConfigurationError, TrialError, closest, listed, naming, option_of
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.settings.alignment import NONE
 from socket_testbed.trials import imported
-from socket_testbed.trials.foreign import NONE, SOURCES, WORDS, ForeignSource, Source, in_words
+from socket_testbed.trials.foreign import SOURCES, WORDS, ForeignSource, Source, in_words
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".lvm", ".dat", ".log", ".asc")
 """Suffixes of files that are taken for tables."""

@@ -89,6 +89,12 @@ def remake_wrenches(
     wrenches = measured.wrench + offsets
     if given is not None:
         new, ratios = Bridges(given), measured.ratios
+        if np.isfinite(measured.wrench).any() and not np.isfinite(ratios).any():
+            raise TrialError(
+                f"{where}: its load_cell/raw holds no ratios of the bridges: another driver"
+                " measured the wrench",
+                "leave the other load cell out; --tare alone takes another tare",
+            )
         if recorded.matrix:
             old = Bridges(recorded)
             off = np.nan_to_num(np.abs(old.wrenches(ratios) - wrenches))

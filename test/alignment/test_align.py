@@ -212,7 +212,7 @@ def test_a_buffer_gives_the_same_values(method: str) -> None:
     left = [*triggers.tolist()]
     answers = []
     for row in range(2000):
-        assert buffer.add(series.times[row], series.positions[row], series.quaternions[row])
+        buffer.add(series.times[row], series.positions[row], series.quaternions[row])
         while left and buffer.ready(left[0], 0.25):
             answers.append(buffer.at(left.pop(0), 0.25))
     assert not left and len(buffer) < 1900
@@ -220,11 +220,16 @@ def test_a_buffer_gives_the_same_values(method: str) -> None:
     np.testing.assert_array_equal(np.hstack([a.count for a in answers]), found.count)
 
 
-def test_a_buffer_refuses_older_readings() -> None:
+def test_a_buffer_puts_readings_in_their_place() -> None:
+    """A late reading goes before the newest; of two with one stamp the later one counts."""
     buffer = SourceBuffer(SourceSettings(), wrenches())
-    assert buffer.add(int(times(5.0)[0]), np.ones(6))
-    assert not buffer.add(int(times(4.0)[0]), np.zeros(6))
-    assert len(buffer) == 1 and buffer.series.values.tolist() == [[1.0] * 6]
+    late = [
+        buffer.add(int(times(moment)[0]), np.full(6, value))
+        for moment, value in ((5.0, 1.0), (9.0, 2.0), (7.0, 3.0), (5.0, 4.0), (9.0, 5.0))
+    ]
+    assert late == [0, 0, 2_000_000, 4_000_000, 0]
+    np.testing.assert_array_equal(buffer.series.times, times(5.0, 7.0, 9.0))
+    assert buffer.series.values[:, 0].tolist() == [4.0, 3.0, 5.0]
 
 
 def test_triggers_span_what_all_share() -> None:

@@ -14,8 +14,10 @@ from support.verbs import program
 from socket_testbed import __version__, clocks
 from socket_testbed.__main__ import VERBS
 from socket_testbed.identification import data_check, plausibility, pressure, problem
+from socket_testbed.live.sources import check_sources
 from socket_testbed.nodes import estimator_node, recorder_node
 from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials import events, raw_check
 from socket_testbed.wire.topics import PUBLISHER_DEPTH, TOPICS, Topic
 
@@ -80,6 +82,18 @@ def test_the_conventions_name_every_topic(topic: Topic) -> None:
     conventions = (DOCS / "conventions.md").read_text()
     package, _, name = topic.type.split("/")
     assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", conventions)
+
+
+def test_the_example_of_other_sensors_is_read(tmp_path: Path) -> None:
+    (text,) = re.findall(r"```yaml\n(.*?)```", (DOCS / "foreign-live.md").read_text(), re.DOTALL)
+    example = (CHECKOUT / "config" / "testbed.yaml").read_text()
+    commented = re.sub("^# ", "", example[example.index("# align_node:") :], flags=re.MULTILINE)
+    for name, content in (("page", text), ("example", commented)):
+        (tmp_path / name).write_text(content)
+        settings = read_testbed(tmp_path / name)
+        check_sources(settings.align_node)
+        assert settings.align_node.wrench.topic == "/ft_sensor/wrench"
+        assert "load_cell_node" not in settings.own_nodes
 
 
 PLACES = re.findall(r"`(\S+\.py): ([^`]+)`", (DOCS / "paper.md").read_text())

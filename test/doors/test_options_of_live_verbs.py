@@ -123,7 +123,7 @@ def status_on(stage: Stage) -> type:
 
         def say(self, line: str) -> None: ...
 
-        def follow(self, namespace: str = "/") -> None:
+        def follow(self, namespace: str = "/", absent: object = ()) -> None:
             stage.seen["followed"] = namespace
 
     return Status

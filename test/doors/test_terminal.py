@@ -34,6 +34,7 @@ from socket_testbed.settings.acquisition import (
     TriggerSettings,
 )
 from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.testbed import TestbedSettings
 from socket_testbed.trials.metadata import TrialMetadata
 
 
@@ -163,7 +164,7 @@ def test_an_error_ends_its_check_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         yield FINDINGS[0]
 
     monkeypatch.setattr(doctor, "CHECKS", (check_load_cell, check_trigger))
-    testbed: Any = None
+    testbed: Any = SimpleNamespace(settings=TestbedSettings())
     assert doctor.examine(testbed) == [
         FINDINGS[2],
         Outcome("load cell", "no answer", "plug it in"),
@@ -191,7 +192,7 @@ def make_testbed(**settings: Any) -> Any:
         "cluster_node": ClusterSettings(),
         "mocap_node": MocapSettings(server="10.0.0.5"),
     }
-    settings = SimpleNamespace(**{**nodes, **settings})
+    settings = replace(TestbedSettings(), **{**nodes, **settings})
     return SimpleNamespace(settings=settings, simulation=None, namespace="/")
 
 

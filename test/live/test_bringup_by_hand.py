@@ -15,6 +15,12 @@ from socket_testbed.geometry.socket import write_socket
 from socket_testbed.live import bringup, fit_worker
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.settings.alignment import (
+    AlignSettings,
+    LiveClusterSettings,
+    LiveSourceSettings,
+    LiveWrenchSettings,
+)
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
@@ -22,6 +28,7 @@ from socket_testbed.settings.testbed import (
     RecorderSettings,
     ReplaySettings,
     TestbedSettings,
+    read_testbed,
 )
 from socket_testbed.simulation import limb as limb_module
 from socket_testbed.simulation.limb import LoadedLimb
@@ -217,3 +224,77 @@ def test_a_socket_must_have_the_clusters(tmp_path: Path) -> None:
         " tile of the socket (which has distal): give the socket.yaml of these clusters, or correct"
         " the name"
     )
+
+
+# --- sources of other drivers
+
+FT = {"wrench": LiveWrenchSettings(topic="/ft")}
+BODIES = {
+    "socket_pose": LiveSourceSettings(topic="/rig/socket"),
+    "pylon_pose": LiveSourceSettings(topic="none"),
+}
+CHIPS = {"clusters": LiveClusterSettings(topic="/uc", names=("distal",))}
+OWN = ["cluster_node", "load_cell_node", "mocap_node"]
+RUNNING: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "own": ({}, OWN),
+    "wrench": (FT, ["cluster_node", "mocap_node", "align_node"]),
+    "poses": (BODIES, ["cluster_node", "load_cell_node", "align_node"]),
+    "clusters": (CHIPS, ["load_cell_node", "mocap_node", "align_node"]),
+    "all": (FT | BODIES | CHIPS, ["align_node"]),
+}
+
+
+def foreign(given: dict[str, Any], **more: Any) -> Testbed:
+    return Testbed(replace(TestbedSettings(), align_node=AlignSettings(**given)), **more)
+
+
+@pytest.mark.parametrize("case", RUNNING)
+def test_only_the_drivers_that_are_needed_start(case: str, tmp_path: Path) -> None:
+    given, expected = RUNNING[case]
+    nodes = foreign(given).nodes(tmp_path)
+    names = [node.name for node in nodes]
+    computing = ["calibration_node", "estimator_node"]
+    assert names == ["trigger_node", *expected, *computing]
+    assert nodes[0].settings.to_flat()["wait_for"] == [*expected, *computing]
+
+
+def test_the_recorder_knows_other_drivers_topics(tmp_path: Path) -> None:
+    testbed = foreign(FT | BODIES | CHIPS, record=tmp_path / "trial")
+    recorder, _, align, *_ = testbed.nodes(tmp_path)
+    found = recorder.settings.to_flat()
+    assert found["beside"] == ["/ft", "/rig/socket", "/uc"]
+    assert found["absent"] == ["mocap/pylon/pose"]
+    aligned = align.settings.to_flat()
+    assert aligned["clusters.names"] == ["distal"]
+    assert aligned["tare_file"] == str(tmp_path / "tare.json")
+    assert aligned["geometry"] == str(testbed.geometry)
+    stored = read_testbed(tmp_path / "stored.yaml")
+    assert stored.align_node.wrench.topic == "/ft" and stored.own_nodes == ()
+
+
+def test_other_drivers_need_no_device_of_ours() -> None:
+    """No matrix of the load cell, no server of the motion capture."""
+    foreign(FT | BODIES | CHIPS).check_devices()
+    words = "load_cell_node: amplifier_gain|load_cell_node: full_scale is empty"
+    with pytest.raises(ConfigurationError, match=words):
+        foreign(BODIES | CHIPS).check_devices()
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, TestbedSettings().cluster_node.names),
+        (CHIPS, ("distal",)),
+        ({"clusters": LiveClusterSettings(topic="/uc")}, TestbedSettings().cluster_node.names),
+        ({"clusters": LiveClusterSettings(topic="none")}, ()),
+    ],
+    ids=["own", "named", "not named", "none"],
+)
+def test_the_clusters_have_their_names(given: dict[str, Any], expected: tuple[str, ...]) -> None:
+    assert foreign(given).settings.cluster_names == expected
+
+
+def test_an_unknown_cluster_of_another_driver_is_refused() -> None:
+    given = {"clusters": LiveClusterSettings(topic="/uc", names=("heel",))}
+    found = line_of(lambda: foreign(given))
+    assert found.startswith("the calibration has no cluster heel of align_node (it has brim")

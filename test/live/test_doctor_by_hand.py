@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from socket_testbed.settings.acquisition import (
     MocapSettings,
     TriggerSettings,
 )
+from socket_testbed.settings.testbed import TestbedSettings
 from socket_testbed.simulation.testbed import Simulation
 
 NAMES = ("brim_lateral", "mid_anterior", "posterior_distal", "distal")
@@ -46,7 +48,7 @@ def made_testbed(folder: Path | None = None, simulated: bool = False, **settings
         geometry = folder / "socket.yaml"
         write_socket(scene.geometry(), geometry)
     return SimpleNamespace(
-        settings=SimpleNamespace(**{**nodes, **settings}),
+        settings=replace(TestbedSettings(), **{**nodes, **settings}),
         simulation=Simulation() if simulated else None,
         geometry=geometry,
     )

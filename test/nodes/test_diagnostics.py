@@ -273,7 +273,7 @@ def test_descriptors_have_steps_and_choices() -> None:
     span = own.integer_range[0]
     assert (span.from_value, span.to_value, span.step) == (2, 100_000, 1)
     source = base._descriptor("source", TriggerSettings.flat()["source"])
-    assert source.description.endswith("alone [-]; one of gpio, timer")
+    assert source.description.endswith("program [-]; one of gpio, timer, topic")
 
 
 class Free(base.TestbedNode[WindowSettings]):

@@ -381,7 +381,7 @@ REMOVED = "removed Mx 1 N m, My 2 N m, Mz 3 N m, Fx 4 N, Fy 5 N, Fz 6 N"
 def test_a_tare_is_an_event(
     forced: bool, weighing: load_cell_node.LoadCellNode, cell: Cell, make: Maker
 ) -> None:
-    assert weighing._tare(forced=forced) == f"tared: {REMOVED}"
+    assert weighing._taring.tare(forced=forced) == f"tared: {REMOVED}"
     ((stamp, was_forced),) = cell.tares
     (event,) = make.sent["event"]
     assert event.label == f"tare {REMOVED}" and was_forced is forced
@@ -393,12 +393,12 @@ def test_a_recorded_trial_refuses_a_tare(
     weighing: load_cell_node.LoadCellNode, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Unless its recorder has ended without a word."""
-    weighing._on_recorded(String(data="s01"))
-    weighing._tare()
+    weighing._taring._on_recorded(String(data="s01"))
+    weighing._taring.tare()
     monkeypatch.setattr(weighing, "count_publishers", lambda name: int(name == "recorder/trial"))
     with refused(DeviceError, "cannot tare: the trial s01 is being recorded", "force_tare"):
-        weighing._tare()
-    weighing._tare(forced=True)
+        weighing._taring.tare()
+    weighing._taring.tare(forced=True)
     assert [forced for _, forced in cell.tares] == [False, True]
 
 
@@ -407,13 +407,13 @@ def test_a_pressed_cluster_refuses_a_tare(
 ) -> None:
     """Unless its stress is older than a second."""
     clock = FakeClock().install(monkeypatch)
-    weighing._on_stress(5, {"distal": (np.array([12.3e3, 0.0, 0.0]), 0)})
+    weighing._taring._on_stress(5, {"distal": (np.array([12.3e3, 0.0, 0.0]), 0)})
     words = "cannot tare: distal (12.3 kPa) is pressed by more than 5 kPa: take the limb out"
     with refused(DeviceError, words, "force_tare"):
-        weighing._tare()
-    weighing._tare(forced=True)
+        weighing._taring.tare()
+    weighing._taring.tare(forced=True)
     clock.sleep(1.1)
-    weighing._tare()
+    weighing._taring.tare()
     assert [forced for _, forced in cell.tares] == [True, False]
 
 
@@ -727,6 +727,7 @@ def test_skipped_pulses_are_counted(clock: FakeClock) -> None:
         _enabled=always,
         _trigger=None,
         _skipped=0,
+        _stream=None,
         _fire=fire,
     )
     trigger_node.TriggerNode._run(own)

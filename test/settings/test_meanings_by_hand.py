@@ -19,19 +19,25 @@ UNITS = {
         load_cell.average_over load_cell.tare_duration mocap.stale mocap.window
         mocap.clock_uncertainty estimator.identification.pose_smoothing
         estimator.plateau.smoothing estimator.plateau.least_duration estimator.window.duration
-        recorder.flush_period replay.tare
+        recorder.flush_period replay.tare align.wait align.tare_duration
+        align.wrench.delay align.wrench.window align.wrench.stale
+        align.socket_pose.delay align.socket_pose.window align.socket_pose.stale
+        align.pylon_pose.delay align.pylon_pose.window align.pylon_pose.stale
+        align.clusters.delay align.clusters.window align.clusters.stale
     """,
     "N, N m per mV/V": "load_cell.matrix",
     "N, N m": "load_cell.full_scale",
     "N": """
-        load_cell.tare_force load_cell.tare_load estimator.plateau.force_change
+        load_cell.tare_force align.tare_force load_cell.tare_load align.tare_load
+        estimator.plateau.force_change
         estimator.plateau.force_drift estimator.plateau.cluster_change
         estimator.plateau.cluster_drift estimator.plateau.least_force
         estimator.force_map.normal_deviation estimator.force_map.force_error
         estimator.force_map.cluster_error
     """,
     "N m": """
-        load_cell.tare_moment estimator.plateau.moment_change estimator.plateau.moment_drift
+        load_cell.tare_moment align.tare_moment estimator.plateau.moment_change
+        estimator.plateau.moment_drift
         estimator.force_map.moment_error
     """,
     "N/m": """
@@ -43,10 +49,10 @@ UNITS = {
     "m": """
         estimator.identification.reference_position estimator.identification.rest_position_limit
         estimator.identification.rest_position_difference estimator.force_map.length
-        estimator.force_map.arm
+        estimator.force_map.arm align.wrench.translation
     """,
     "kg": "recorder.next.mass",
-    "Pa": "load_cell.tare_pressure",
+    "Pa": "load_cell.tare_pressure align.tare_pressure",
 }
 
 

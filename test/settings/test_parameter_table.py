@@ -14,7 +14,8 @@ from socket_testbed.settings.acquisition import averaging_span
 # name = default, then lowest..highest, choices, `fixed` after the start, what `auto` stands for
 TABLE = {
     "trigger_node": """
-        source = 'gpio' of gpio timer fixed
+        source = 'gpio' of gpio timer topic fixed
+        topic = '' fixed
         rate = 4.0 0.1..500
         enabled = True fixed
         wait_for = () fixed
@@ -41,6 +42,12 @@ TABLE = {
         latest = 0.05 0.001..1 fixed
     """,
     "load_cell_node": """
+        tare_duration = 1.0 0.1..60
+        tare_force = 2.0 0.001..1000
+        tare_moment = 0.2 0.0001..100
+        tare_load = 40.0 1..100000
+        tare_pressure = 5000.0 100..1e+07
+        tare_file = '' fixed
         device = '0.0' fixed
         spi_clock = 8000000.0 100000..2.5e+07 fixed
         channels = 6 6..8 fixed
@@ -59,12 +66,6 @@ TABLE = {
         simulation = '' fixed
         window = 0.02 0.001..1
         average_over = -1.0 -1..0.5
-        tare_duration = 1.0 0.1..60
-        tare_force = 2.0 0.001..1000
-        tare_moment = 0.2 0.0001..100
-        tare_load = 40.0 1..100000
-        tare_pressure = 5000.0 100..1e+07
-        tare_file = '' fixed
     """,
     "mocap_node": """
         server = '' fixed
@@ -80,6 +81,41 @@ TABLE = {
         window = -1.0 -1..0.5
         clock_uncertainty = 0.002 1e-05..0.1 fixed
         record_takes = True
+    """,
+    "align_node": """
+        tare_duration = 1.0 0.1..60
+        tare_force = 2.0 0.001..1000
+        tare_moment = 0.2 0.0001..100
+        tare_load = 40.0 1..100000
+        tare_pressure = 5000.0 100..1e+07
+        tare_file = '' fixed
+        wrench.delay = 0.0 -10..10
+        wrench.method = 'line' of line mean last
+        wrench.window = -1.0 -1..5
+        wrench.stale = -1.0 -1..10
+        wrench.topic = '' fixed
+        wrench.of = 'limb' of limb socket
+        wrench.rotation = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0) -1..1 fixed
+        wrench.translation = (0.0, 0.0, 0.0) -2..2 fixed
+        socket_pose.delay = 0.0 -10..10
+        socket_pose.method = 'line' of line mean last
+        socket_pose.window = -1.0 -1..5
+        socket_pose.stale = -1.0 -1..10
+        socket_pose.topic = '' fixed
+        pylon_pose.delay = 0.0 -10..10
+        pylon_pose.method = 'line' of line mean last
+        pylon_pose.window = -1.0 -1..5
+        pylon_pose.stale = -1.0 -1..10
+        pylon_pose.topic = '' fixed
+        clusters.delay = 0.0 -10..10
+        clusters.method = 'line' of line mean last
+        clusters.window = -1.0 -1..5
+        clusters.stale = -1.0 -1..10
+        clusters.topic = '' fixed
+        clusters.names = () fixed
+        wait = 0.3 0.01..10
+        geometry = '' fixed
+        calibration = '' fixed
     """,
     "calibration_node": """
         calibration = '' fixed
@@ -150,6 +186,8 @@ TABLE = {
         parameters = '' fixed
         metadata = '' fixed
         everything = False fixed
+        beside = () fixed
+        absent = () fixed
         next.name = ''
         next.subject = ''
         next.side = ''
@@ -267,7 +305,7 @@ def test_help_tells_default_range_and_choices() -> None:
         "rate: speed of the replay relative to the recording [-]; default 1.0; from 0.001 to 10000."
     )
     source = acquisition.TriggerSettings.flat()["source"]
-    assert fields._explained(source).endswith("default 'gpio'; one of 'gpio', 'timer'")
+    assert fields._explained(source).endswith("default 'gpio'; one of 'gpio', 'timer', 'topic'")
     inputs = acquisition.LoadCellSettings.flat()["inputs"]
     assert fields._explained(inputs).endswith("; each from 0 to 7")
     open_ended = fields.setting(2.0, "a length [m]", low=1.0)

@@ -23,7 +23,7 @@ from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import make_folder, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
-from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.settings.acquisition import LoadCellSettings, TareSettings
 
 _UNITS = tuple(map(channel_unit, WRENCH_CHANNELS))
 _LENGTHS = {  # settings that are lists: length and hint
@@ -150,7 +150,7 @@ def in_words(wrench: FloatArray) -> str:
     return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
 
 
-def pressed(stresses: Mapping[str, tuple[FloatArray, int]], settings: LoadCellSettings) -> str:
+def pressed(stresses: Mapping[str, tuple[FloatArray, int]], settings: TareSettings) -> str:
     """The clusters that are pressed too much for a tare, in words; empty if none is.
 
     Args:
@@ -170,7 +170,7 @@ def pressed(stresses: Mapping[str, tuple[FloatArray, int]], settings: LoadCellSe
     return f"{', '.join(found)} {verb} pressed by more than {limit}"
 
 
-def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
+def unrest(wrenches: FloatArray, settings: TareSettings) -> str:
     """The channel that moves too much for a tare, in words; empty if all are at rest.
 
     Args:
@@ -185,6 +185,31 @@ def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
     unit = _UNITS[worst]
     moved = f"{spread[worst]:.3g} {unit} (standard deviation)"
     return f"{WRENCH_CHANNELS[worst]} moves by {moved}, more than {limits[worst]:g} {unit}"
+
+
+def refuse_tare(
+    wrenches: FloatArray, removed: FloatArray, settings: TareSettings, forced: bool
+) -> None:
+    """Refuse a tare while the load moves, or that removes the weight of a person.
+
+    Args:
+        wrenches: n wrenches [M; F] during the tare, shape (n, 6) [N m, N].
+        removed: The load that it removes, [M; F], shape (6,) [N m, N].
+        settings: The limits.
+        forced: Whether to remove even a force above `tare_load`.
+
+    Raises:
+        DeviceError: The load moves, or its force is above `tare_load` and not forced.
+    """
+    if moving := unrest(wrenches, settings):
+        raise DeviceError(f"cannot tare: {moving}", "hold the cell still and tare again")
+    force = float(np.linalg.norm(removed[3:]))
+    if force > settings.tare_load and not forced:
+        raise DeviceError(
+            f"cannot tare: the cell bears {force:.0f} N, more than {settings.tare_load:g} N",
+            "take the limb out of the socket; if nothing loads the cell, force it"
+            " (load_cell/force_tare)",
+        )
 
 
 def check_settings(settings: LoadCellSettings) -> None:
@@ -459,17 +484,9 @@ class LoadCell:
                 f"cannot tare: {self._saturated(rails)}",
                 "unload the cell, or check the bridge and its wiring",
             )
-        if moving := unrest(self._bridges.wrenches(ratios), settings):
-            raise DeviceError(f"cannot tare: {moving}", "hold the cell still and tare again")
         offsets = ratios.mean(axis=0)
         removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
-        force = float(np.linalg.norm(removed[3:]))
-        if force > settings.tare_load and not forced:
-            raise DeviceError(
-                f"cannot tare: the cell bears {force:.0f} N, more than {settings.tare_load:g} N",
-                "take the limb out of the socket; if nothing loads the cell, force it"
-                " (load_cell/force_tare)",
-            )
+        refuse_tare(self._bridges.wrenches(ratios), removed, settings, forced)
         self._tare.set(offsets, stamp)
         return removed
 

@@ -1,0 +1,201 @@
+"""Topics of other programs, whose types and qualities of service are known once they are there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from socket_testbed import clocks
+from socket_testbed.clocks import SteadyClock
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.live.doctor import HeardSource
+from socket_testbed.live.sources import StreamedSource
+from socket_testbed.settings.alignment import AlignSettings
+from socket_testbed.trials import foreign
+from socket_testbed.trials.bag import RawMessage
+from socket_testbed.wire.topics import TOPICS, full_name
+
+_LISTEN_PERIOD = 0.05  # [s]
+_DEPTH = 2000  # [messages]; of a busy moment
+_MAX_AGE = 10.0  # [s]; of a message that waited to be taken
+
+
+def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
+    """Quality of service of a subscriber that all of some publishers match.
+
+    Reliable only if all of them are; volatile, which every durability matches.
+    """
+    reliable = all(own.qos_profile.reliability == ReliabilityPolicy.RELIABLE for own in publishers)
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(depth=_DEPTH, reliability=reliability, durability=DurabilityPolicy.VOLATILE)
+
+
+def type_class(name: str, topic: str) -> Any:
+    """The class of a message type.
+
+    Args:
+        name: The type, as `package/msg/Type`.
+        topic: Its topic, for errors.
+
+    Raises:
+        ConfigurationError: If its package cannot be imported.
+    """
+    package, _, message = name.partition("/msg/")
+    try:
+        return getattr(import_module(f"{package}.msg"), message)
+    except (ImportError, AttributeError):
+        fact = f"{topic} is a {name}, whose package cannot be imported"
+        raise ConfigurationError(fact, f"source the workspace that holds {package}") from None
+
+
+class ForeignTopic:
+    """Receives a topic of other programs, whatever its quality of service.
+
+    Args:
+        node: A node without an executor, such as that of an `Inbox`; the middleware queues the
+            messages until they are taken.
+        name: The topic's absolute name.
+        kinds: The types that are wanted, as `package/msg/Type`.
+
+    Attributes:
+        type: Type of its messages; empty before a publisher is found.
+    """
+
+    def __init__(self, node: Node, name: str, kinds: tuple[str, ...]) -> None:
+        self.name = name
+        self.type = ""
+        self._node = node
+        self._kinds = kinds
+        self._qos: QoSProfile | None = None
+        self._subscription: Subscription | None = None
+
+    def look(self) -> str:
+        """Subscribe once there is a publisher, and again if its type or quality has changed.
+
+        Returns:
+            What is wrong with the topic, fact and hint in one line; empty if nothing is.
+        """
+        publishers = self._node.get_publishers_info_by_topic(self.name)
+        if not publishers:
+            return ""
+        types = {own.topic_type for own in publishers}
+        wanted = sorted(types.intersection(self._kinds))
+        if not wanted:
+            given = ", ".join(sorted(types))
+            return f"{self.name} is a {given}: name a topic of type {' or '.join(self._kinds)}"
+        if len(types) > 1:
+            others = " and ".join(sorted(types))
+            return f"{self.name} has publishers of {others}: rename one of the topics"
+        qos = matching_qos(publishers)
+        if wanted[0] == self.type and qos == self._qos:
+            return ""
+        try:
+            kind = type_class(wanted[0], self.name)
+        except ConfigurationError as error:
+            return str(error)
+        self.close()
+        self._subscription = self._node.create_subscription(
+            kind, self.name, lambda data: None, qos, raw=True
+        )
+        self.type, self._qos = wanted[0], qos
+        return ""
+
+    def take(self, now: Callable[[], int]) -> list[tuple[int, bytes]]:
+        """The messages received since the last call, in order, with the times of their arrival.
+
+        Args:
+            now: Returns the present time on the clock of the arrivals [ns].
+        """
+        if self._subscription is None:
+            return []
+        found: list[tuple[int, bytes]] = []
+        subscription = self._subscription
+        with subscription.handle:
+            while taken := subscription.handle.take_message(subscription.msg_type, True):
+                data, info = taken
+                waited = (time.time_ns() - info["received_timestamp"]) * 1e-9
+                waited = waited if 0.0 <= waited < _MAX_AGE else 0.0
+                found.append((now() - round(1e9 * waited * clocks.time_scale()), data))
+        return found
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+
+def foreign_topic(node: Node, source: foreign.Source, topic: str, namespace: str) -> ForeignTopic:
+    """The topic of a source, which must not be one that the testbed publishes.
+
+    Args:
+        node: A node without an executor.
+        source: Which source.
+        topic: Its topic, as the settings name it: absolute, or relative to the namespace; for a
+            pose also `tf:PARENT/CHILD`.
+        namespace: Absolute namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the testbed publishes a topic of that name.
+    """
+    if topic.startswith(foreign.TRANSFORM):
+        return ForeignTopic(node, "/tf", (foreign.TRANSFORMS,))
+    name = full_name(topic, namespace)
+    if name in {full_name(own.name, namespace) for own in TOPICS}:
+        raise ConfigurationError(
+            f"align_node: {source}.topic is {topic}, which the testbed publishes itself",
+            "give the other driver's topic another name",
+        )
+    return ForeignTopic(node, name, foreign.KINDS[source])
+
+
+def hear_sources(
+    settings: AlignSettings, clusters: Sequence[str], namespace: str = "/", within: float = 4.0
+) -> list[HeardSource]:
+    """Listen to the sources of other drivers for a while.
+
+    Args:
+        settings: Their topics.
+        clusters: Names of the testbed's clusters.
+        namespace: Absolute namespace of the testbed.
+        within: How long to listen [s].
+
+    Raises:
+        ConfigurationError: If a topic is one that the testbed publishes.
+    """
+    context = rclpy.Context()
+    # The verb handles Ctrl-C.
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("_doctor", context=context, start_parameter_services=False)
+    clock = SteadyClock()
+    try:
+        heard: list[HeardSource] = []
+        listening: list[ForeignTopic] = []
+        for name in foreign.SOURCES:
+            own = settings.sources[name]
+            if own.is_foreign:
+                listening.append(foreign_topic(node, name, own.topic, namespace))
+                heard.append(HeardSource(StreamedSource(name, own, clusters)))
+        ends = time.monotonic() + within
+        while time.monotonic() < ends:
+            for topic, found in zip(listening, heard, strict=True):
+                found.wrong, found.type = topic.look(), topic.type
+                found.source.receive(
+                    [RawMessage(topic.name, topic.type, *own) for own in topic.take(clock.now)]
+                )
+            time.sleep(_LISTEN_PERIOD)
+        for found in heard:
+            found.ended = clock.now()
+        return heard
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
