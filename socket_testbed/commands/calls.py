@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Literal, ParamSpec, TypeVar
 
 from socket_testbed.settings.options import (
+    DONNING,
+    DONNING_SHARE,
     CalibrationOptions,
     ComparisonOptions,
     EstimatorOptions,
@@ -167,6 +169,8 @@ class SimulatedOptions(Options, heading="for simulated hardware"):
         SimulationOptions.seed,
         "seed of the random numbers: of the limb, its load and all errors",
     )
+    donning: int | None = option(SimulationOptions.donning, DONNING, metavar="SEED")
+    donning_share: float = option(SimulationOptions.donning_share, DONNING_SHARE)
     fault: Iterable[str] = several(
         "switch on a fault, such as load_cell.flipped_bits=0.01; see docs/faults.md",
         metavar="NAME=VALUE",

@@ -93,8 +93,8 @@ def call_simulate(stage: Stage, **options: Any) -> None:
         stage.replace(f"api.trials.read_{kind}", lambda path, kind=kind: f"{kind} {path.name}")
     places = ("socket", "calibration", "scenario", "duration", "rate", "seed", "errors")
 
-    def simulated(*given: Any, progress: Any, tissue: str) -> str:
-        stage.seen |= dict(zip(places, given, strict=True)) | {"tissue": tissue}
+    def simulated(*given: Any, progress: Any, **named: Any) -> str:
+        stage.seen |= dict(zip(places, given, strict=True)) | named
         progress(1, 2)
         return "simulated"
 
@@ -516,6 +516,8 @@ CASES: dict[str, Cases] = {
         "duration": (30.0, {"duration": 30.0}),
         "rate": (8.0, {"rate": 8.0}),
         "seed": (5, {"seed": 5}),
+        "donning": (3, {"donning": 3}),
+        "donning_share": (0.2, {"donning_share": 0.2}, {"donning": 3}),
         "like_paper": (
             True,
             {"calibration": "calibration like_paper.yaml", "errors": LIKE_PAPER}
@@ -800,6 +802,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "duration": 120.0,
         "rate": 4.0,
         "seed": 0,
+        "donning_share": 0.1,
         "replace": False,
     },
     "fit": {"segment": "plateau"},

@@ -426,6 +426,8 @@ CASES: dict[str, Cases] = {
         "duration": ("--duration 30", {"duration": 30.0}),
         "rate": ("--rate 8", {"rate": 8.0}),
         "seed": ("--seed 5", {"seed": 5}),
+        "donning": ("--donning 3", {"donning": 3}),
+        "donning_share": ("--donning-share 0.2", {"donning_share": 0.2}),
         "geometry": ("--geometry socket.yaml", {"geometry": "socket.yaml"}),
         "calibration": ("--calibration calibration.yaml", {"calibration": "calibration.yaml"}),
         "replace": ("--replace", {"replace": True}),
