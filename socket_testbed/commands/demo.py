@@ -23,8 +23,8 @@ from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions, place_of
 from socket_testbed.identification import validation
-from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.wrench import REGRESSION
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import SLOWEST, busy_note, measure_speed, speed_text

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.samples import turned
+from socket_testbed.identification.wrench import PoseTrail, WrenchModel, relative_pose
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
 _CHUNK = 4096  # samples; a prediction's memory grows with samples times tiles
@@ -390,22 +390,6 @@ _MIN_CHANGE = 0.01  # [-]; of the force, relative to its RMS, for a slope
 _MIN_MOTION = 1e-9  # [m, rad]; less is rounding of a constant pose
 
 
-def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Displacement and rotation vector since a reference pose, both in {S}.
-
-    Args:
-        pose: Positions q and rotation vectors of the limb in {S}, shape (N, 6) [m, rad].
-        reference: Reference position c and rotation vector in {S}, shape (6,) [m, rad].
-
-    Returns:
-        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN in rows where any
-        component of the pose is NaN.
-    """
-    relative = np.hstack([pose[:, :3] - reference[:3], turned(pose[:, 3:], -reference[3:])])
-    relative[~np.isfinite(relative).all(axis=1)] = np.nan
-    return relative
-
-
 class RigidLaw(ContactLaw):
     r"""The law of the `rigid` variants: a rigid limb presses on the tiles.
 
@@ -584,9 +568,9 @@ class ContactModel:
         wrench_slope: Slope of the wrench in {S} over displacement and rotation since the reference
             pose with `rigid_bias`, shape (6, 6), a row per channel [N m, N per m, rad]; otherwise
             0.
-        of_wrench: Separate model that predicts the wrench, if it predicts unseen samples better
-            than this bed: a bed of another sharpness, or a linear regression without springs. None
-            if this bed predicts the wrench.
+        of_wrench: Separate predictor of the wrench, if it predicts unseen samples better than this
+            bed: a regression on the pose, with or without memory. None if this bed predicts the
+            wrench.
     """
 
     variant: Variant
@@ -601,7 +585,7 @@ class ContactModel:
     cluster_points: dict[str, int]
     reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
     wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    of_wrench: ContactModel | None = None
+    of_wrench: WrenchModel | None = None
 
     @property
     def frame(self) -> str:
@@ -620,15 +604,25 @@ class ContactModel:
             forces[:, point] += self.rotations[point] @ bias
         return forces
 
-    def wrench(self, pose: FloatArray) -> FloatArray:
+    def wrench(
+        self,
+        pose: FloatArray,
+        stamps: IntArray | None = None,
+        trail: PoseTrail | None = None,
+    ) -> FloatArray:
         """Wrenches ``C F + b_w`` [M; F] at the load cell in {S}, shape (N, 6) [N m, N].
 
-        A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad].
         `rigid_bias` adds a slope over the pose. The clusters' offsets are those of their sensors
-        and do not enter the wrench.
+        and do not enter the wrench. A separate predictor, if the model has one, replaces all this.
+
+        Args:
+            pose: Poses of the limb: position q and rotation vector in {S}, shape (N, 6) [m, rad].
+            stamps: Times of the poses since the epoch, ascending, shape (N,) [ns], which a
+                predictor with memory needs; None for poses that have no past.
+            trail: What went before, which the poses are added to; None for nothing.
         """
         if self.of_wrench is not None:
-            return self.of_wrench.wrench(pose)
+            return self.of_wrench.predict(pose, stamps, trail)
         motion = self.law.motion(pose)
         springs = self._springs(motion).reshape(len(motion), -1)
         wrench = springs @ self.law.onto.reshape(6, -1).T + self.wrench_bias
@@ -649,7 +643,17 @@ class ContactModel:
             for column, (name, point) in enumerate(self.cluster_points.items())
         }
 
-    def predict(self, pose: FloatArray, clusters: Sequence[str]) -> FloatArray:
+    def trail(self) -> PoseTrail | None:
+        """An empty trail, for predictions sample by sample; None if the past does not matter."""
+        return None if self.of_wrench is None else self.of_wrench.trail()
+
+    def predict(
+        self,
+        pose: FloatArray,
+        clusters: Sequence[str],
+        stamps: IntArray | None = None,
+        trail: PoseTrail | None = None,
+    ) -> FloatArray:
         """Every channel in the order of `channel_names`, shape (N, 6 + 3c) [N m, N].
 
         The wrench [M; F] in {S} precedes the force on each of the c clusters in its frame {L}.
@@ -658,6 +662,9 @@ class ContactModel:
             pose: Poses of the limb: position and rotation vector in {S}, shape (N, 6) [m, rad];
                 where one is NaN, so are the predictions.
             clusters: Names of the clusters, in the order of their channels.
+            stamps: Times of the poses since the epoch, ascending, shape (N,) [ns], which a
+                predictor of the wrench with memory needs; None for poses that have no past.
+            trail: What went before, which the poses are added to; None for nothing.
 
         Raises:
             ConfigurationError: If the model does not have one of the clusters.
@@ -669,11 +676,13 @@ class ContactModel:
                 "fit a model on a trial that has it",
             )
         predicted = np.empty((len(pose), 6 + 3 * len(clusters)))
+        trail = trail or self.trail()
         for start in range(0, len(pose), _CHUNK):
             rows = slice(start, start + _CHUNK)
             local = self.cluster_forces(pose[rows])
             forces = [local[name] for name in clusters]
-            predicted[rows] = np.hstack([self.wrench(pose[rows]), *forces])
+            times = None if stamps is None else stamps[rows]
+            predicted[rows] = np.hstack([self.wrench(pose[rows], times, trail), *forces])
         return predicted
 
     def gate_displacements(

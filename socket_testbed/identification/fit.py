@@ -6,19 +6,17 @@ A fit runs both stages, and for some laws refines both jointly.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, finite_mean, rms
-from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import (
-    MIN_SAMPLES,
     Problem,
     build_objective,
     check_channels,
@@ -31,18 +29,16 @@ from socket_testbed.identification.solver import (
     solve_box_qp,
     solve_cold,
 )
-from socket_testbed.samples import GROUPS, WRENCH_CHANNELS, Samples, channel_names, channel_unit
+from socket_testbed.identification.wrench import fit_wrench
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_names, channel_unit
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
 from socket_testbed.tables import number, split_unit
 
 if TYPE_CHECKING:
     import pandas as pd
 
-REGRESSION = "linear regression on the pose"
-MAX_ERROR_RATIO = 0.95  # [-]; to the error of the bed's own springs, to replace them
+OWN_SPRINGS = "the bed's own springs"
 _MIN_CHANGE = 0.1  # [-]; of the force, relative to its RMS
-_RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
-_MIN_SPREAD = 1e-12  # [-]; spread of a constant component of the pose, relative to its magnitude
 _MAX_STEPS = 100
 _DAMPING = 1e-2  # [-]; of the first step, relative to the mean curvature
 _CONSTANT = 1e-12  # [-]; spread of a constant channel, relative to its magnitude
@@ -186,15 +182,22 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     )
 
 
-def predictions(samples: Samples, model: ContactModel, window: float) -> FloatArray:
+def predictions(
+    samples: Samples, model: ContactModel, window: float, past: Samples | None = None
+) -> FloatArray:
     """Predictions of all channels in the order of `Samples.channels`, (N, 6 + 3c) [N m, N].
 
     Args:
-        samples: N samples, of which the poses and the names of the c clusters matter.
+        samples: N samples, of which the stamps, the poses and the names of the c clusters matter.
         model: The model, which has these clusters.
         window: Width of the centred window over which poses are averaged [s]; 0: not averaged.
+        past: The samples before these, which a model with memory needs; None for no past.
     """
-    return model.predict(smooth_poses(samples, window).pose, samples.clusters)
+    trail = model.trail()
+    if past is not None and trail is not None:
+        model.wrench(smooth_poses(past, window).pose, past.stamps, trail)
+    pose = smooth_poses(samples, window).pose
+    return model.predict(pose, samples.clusters, samples.stamps, trail)
 
 
 def evaluate(
@@ -209,7 +212,7 @@ def evaluate(
         leave_out: Names of the channels that were not fitted, such as `Mz`.
     """
     if isinstance(predicted, ContactModel):
-        predicted = predicted.predict(samples.pose, samples.clusters)
+        predicted = predicted.predict(samples.pose, samples.clusters, samples.stamps)
     measured = samples.trusted_values
     return tuple(
         channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)
@@ -258,12 +261,14 @@ class FittedModel:
     unloaded: tuple[tuple[float, float], ...] = ()
     segment: str = ""
 
-    def predictions(self, samples: Samples) -> FloatArray:
+    def predictions(self, samples: Samples, past: Samples | None = None) -> FloatArray:
         """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
 
-        The poses of the N samples are averaged as in the fit.
+        Args:
+            samples: N samples, whose poses are averaged as in the fit.
+            past: The samples before these, which a model with memory needs; None for no past.
         """
-        return predictions(samples, self.model, self.settings.pose_smoothing)
+        return predictions(samples, self.model, self.settings.pose_smoothing, past)
 
     def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
         """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.
@@ -319,7 +324,8 @@ class Fit(FittedModel):
         stage_two: Certified solution of Stage 2, scaled stiffnesses, shape (3n,) [-].
         joint: Certified joint refinement of both in the rigid variants, shape (6n,) [-]; None in
             the paper's variants.
-        wrench: What predicts the wrench, in words; empty for the model's own springs.
+        wrench: What predicts the wrench with `rigid_bias`, and why, in words; empty for a variant
+            without a choice.
     """
 
     determined: float
@@ -372,8 +378,8 @@ def fit_contact_model(
     if problem.law.REFINED:
         x, joint = _refine(problem, x, solver, tolerance)
         moments = problem.moments(x)
-    model, used = problem.model(x), problem.objective.samples
-    model, chosen = _with_wrench_model(model, samples, used, geometry, settings)
+    used = problem.objective.samples
+    model, chosen = _with_wrench_model(problem.model(x), used, settings)
     errors = evaluate(used, model, settings.leave_out)
     return Fit(
         model=model,
@@ -400,88 +406,29 @@ def _status(rest: BoxSolution, springs: BoxSolution, joint: BoxSolution | None) 
 
 
 def _with_wrench_model(
-    model: ContactModel,
-    samples: Samples,
-    used: Samples,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
+    model: ContactModel, used: Samples, settings: IdentificationSettings
 ) -> tuple[ContactModel, str]:
-    """The model with the best predictor of the wrench, and its name; empty for its own springs.
+    """The model with its predictor of the wrench, and which one it is and why, in words.
 
-    Candidates are the bed of `contact_sharpness`, beds of other sharpness and a linear regression
-    on the pose. They are fitted on the first half of the samples in the fit and tested on the
-    second. One that is clearly better than the bed is refitted on all samples and replaces it.
-    """
-    middle = used.stamps[len(used) // 2]
-    first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
-    complete = np.isfinite(used.wrench).all() and used.counted(settings.leave_out)[:6].all()
-    if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not complete:
-        return model, ""
-    # At constant load the unseen half does not show how a prediction extrapolates.
-    changes = relative_change(used.wrench[:, 3:]) > _MIN_CHANGE
-    if min(len(first), len(unseen)) < MIN_SAMPLES or not changes:
-        return model, ""
-    alone, early = replace(settings, wrench_sharpness=()), samples[samples.stamps < middle]
-
-    def fitted(sharpness: float, on: Samples) -> ContactModel:
-        return fit_contact_model(on, geometry, replace(alone, contact_sharpness=sharpness)).model
-
-    beds = (settings.contact_sharpness, *settings.wrench_sharpness)
-    sharpness = {f"springs of sharpness {value:g} /m": value for value in beds}
-    base = next(iter(sharpness))
-    tried = {}
-    for name, value in sharpness.items():
-        with suppress(IdentificationError):  # such as a cluster that began later
-            tried[name] = fitted(value, early)
-    if base not in tried:
-        return model, ""
-    tried[REGRESSION] = _regression(tried[base], first)
-    errors = {name: _wrench_error(each, unseen) for name, each in tried.items()}
-    best = min(errors, key=errors.__getitem__)
-    if not errors[best] < MAX_ERROR_RATIO * errors[base]:
-        return model, ""
-    known = sharpness.get(best)
-    chosen = _regression(model, used) if known is None else fitted(known, samples)
-    better = f"{best}: {100.0 * (1.0 - errors[best] / errors[base]):.0f} % less error on the"
-    return replace(model, of_wrench=chosen), f"{better} unseen half than the bed's own springs"
-
-
-def regress_wrench(samples: Samples, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Regress the wrench linearly on the limb's motion, by least squares.
-
-    If the motions lack rank, the solution has minimum norm in standardised motions.
+    With `rigid_bias` a regression on the pose, with or without memory, predicts the wrench if the
+    force changes enough: see `wrench`. Otherwise the springs do. The words are empty for a variant
+    without a choice.
 
     Args:
-        samples: N samples, with every pose and a wrench without gaps in a channel; the poses show
-            which components of the motion are constant.
-        motion: Their displacements and rotations since a reference pose, in {S}, shape (N, 6)
-            [m, rad].
-
-    Returns:
-        The slope, shape (6, 6), a row per channel [N m, N per m, rad], and the wrench at zero
-        motion, shape (6,) [N m, N]. A channel with a missing value has a constant of NaN.
+        model: The fitted model.
+        used: The samples of the fit, with a pose and a wrench.
+        settings: Settings of the fit.
     """
-    mean, constant = motion.mean(axis=0), samples.wrench.mean(axis=0)
-    spread = motion.std(axis=0)
-    spread = np.where(spread > _MIN_SPREAD * np.abs(samples.pose).max(axis=0), spread, np.inf)
-    known = np.nan_to_num(samples.wrench - constant)
-    slope = np.linalg.lstsq((motion - mean) / spread, known, rcond=_RANK)[0].T / spread
-    return slope, constant - slope @ mean
-
-
-def _regression(model: ContactModel, samples: Samples) -> ContactModel:
-    """A model without springs; its wrench is linear in the pose."""
-    slope, constant = regress_wrench(samples, model.law.motion(samples.pose))
-    none = np.zeros_like(model.stiffness)
-    return replace(model, stiffness=none, force_bias={}, wrench_slope=slope, wrench_bias=constant)
-
-
-def _wrench_error(model: ContactModel, samples: Samples) -> float:
-    """Relative error of the moments plus that of the forces, over their standard deviations [-]."""
-    missed = np.sqrt(np.mean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
-    change = samples.wrench.std(axis=0)
-    parts = ((missed[part].sum(), change[part].sum()) for part in GROUPS)
-    return float(sum(error / max(size, 1e-9) for error, size in parts))
+    if settings.variant != "rigid_bias":
+        return model, ""
+    complete = np.isfinite(used.wrench).all() and used.counted(settings.leave_out)[:6].all()
+    if not complete:
+        return model, f"{OWN_SPRINGS}: a channel of the wrench is missing or left out"
+    # At constant load no sample shows how a prediction extrapolates.
+    if not relative_change(used.wrench[:, 3:]) > _MIN_CHANGE:
+        return model, f"{OWN_SPRINGS}: the force changes by less than a tenth"
+    chosen, reason = fit_wrench(used)
+    return replace(model, of_wrench=chosen), f"{chosen.name}: {reason}"
 
 
 def _refine(

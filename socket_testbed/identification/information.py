@@ -27,8 +27,9 @@ from scipy.linalg import eigvalsh
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel, relative_pose
+from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.noise import channel_noise, smooth_poses, smoothing_gain
+from socket_testbed.identification.wrench import relative_pose
 from socket_testbed.samples import FORCES, MOMENTS, Samples
 
 MIN_SPRING_SHARE = 0.5  # [-]; of the load, carried by the springs

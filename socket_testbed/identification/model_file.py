@@ -24,10 +24,17 @@ from socket_testbed.identification.fit import (
     FittedModel,
     summarise_errors,
 )
+from socket_testbed.identification.wrench import (
+    FEATURES,
+    MAX_SUPPORT,
+    MotionMemory,
+    WrenchModel,
+)
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 from socket_testbed.tables import split_unit
 
-_FORMAT = "socket_testbed model 1"
+_FORMAT = "socket_testbed model 2"
+_FORMATS = ("socket_testbed model 1", _FORMAT)  # readable ones; the first knew no memory
 _AGAIN = "fit the trial again"
 
 
@@ -70,6 +77,8 @@ def write_model(fit: Fit, path: Path, trial: Mapping[str, Any] | None = None) ->
 
 
 _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wrench_slope")
+_REGRESSION = ("reference_pose", "slope", "constant", "deviation")
+_SCALES = ("scale", "spread")  # infinite for what did not move
 
 
 def _parameters(model: ContactModel) -> dict[str, Any]:
@@ -78,7 +87,20 @@ def _parameters(model: ContactModel) -> dict[str, Any]:
     found["force_bias"] = {name: documents.plain(bias) for name, bias in model.force_bias.items()}
     found["clusters"] = list(model.cluster_points)
     if model.of_wrench is not None:
-        found["of_wrench"] = _parameters(model.of_wrench)
+        found["of_wrench"] = _wrench_parameters(model.of_wrench)
+    return found
+
+
+def _wrench_parameters(of_wrench: WrenchModel) -> dict[str, Any]:
+    """A predictor of the wrench for JSON; null stands for the scale of what did not move."""
+    found = {name: documents.plain(getattr(of_wrench, name)) for name in _REGRESSION}
+    found["memory"] = None
+    if of_wrench.memory is not None:
+        memory = {n: documents.plain(value) for n, value in vars(of_wrench.memory).items()}
+        fields = [field.name for field in dataclasses.fields(MotionMemory)]
+        found["memory"] = {name: memory[name] for name in fields}
+        for name in _SCALES:
+            found["memory"][name] = [*map(documents.finite_or_null, memory[name])]
     return found
 
 
@@ -109,7 +131,50 @@ _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Second = Annotated[float, Meta(ge=-documents.FINITE, le=documents.FINITE)]
 _Figure = _Second | None  # JSON has no NaN
 _Three = tuple[_Parameter, _Parameter, _Parameter]
+_Positive = Annotated[float, Meta(gt=0.0, le=1e9)]
 _Six = tuple[_Parameter, _Parameter, _Parameter, _Parameter, _Parameter, _Parameter]
+_SixPositive = Annotated[list[_Positive], Meta(min_length=6, max_length=6)]
+_Scales = Annotated[list[_Positive | None], Meta(min_length=6, max_length=6)]
+_Features = Annotated[list[_Parameter], Meta(min_length=FEATURES, max_length=FEATURES)]
+_Spreads = Annotated[list[_Positive | None], Meta(min_length=FEATURES, max_length=FEATURES)]
+
+
+class _Memory(documents.Document):
+    scale: _Scales
+    centre: _Features
+    spread: _Spreads
+    support: Annotated[list[_Features], Meta(min_length=1, max_length=MAX_SUPPORT)]
+    left: list[_Six]
+    length: _Positive
+    noise: Annotated[float, Meta(gt=0.0, le=1.0)]
+    deviation: _SixPositive
+    widening: _SixPositive
+
+    def memory(self, where: str) -> MotionMemory:
+        """The memory of a predictor of the wrench."""
+        if len(self.left) != len(self.support):
+            fact = f"{where}: left has {len(self.left)} rows for {len(self.support)} support points"
+            raise ConfigurationError(fact, _AGAIN)
+        arrays: dict[str, Any] = {
+            name: np.array(getattr(self, name), float) for name in self.__struct_fields__
+        }
+        for name in _SCALES:
+            arrays[name][np.isnan(arrays[name])] = np.inf
+        return MotionMemory(**arrays | {"length": self.length, "noise": self.noise})
+
+
+class _OfWrench(documents.Document):
+    reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place]
+    slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six]
+    constant: _Six
+    deviation: _Six
+    memory: _Memory | None = None
+
+    def predictor(self, where: str) -> WrenchModel:
+        """The predictor of the wrench."""
+        regression = {name: np.array(getattr(self, name)) for name in _REGRESSION}
+        memory = None if self.memory is None else self.memory.memory(f"{where}: memory")
+        return WrenchModel(**regression, memory=memory)
 
 
 class _Parameters(documents.Document):
@@ -124,7 +189,7 @@ class _Parameters(documents.Document):
     reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
     wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
     parameter_factor: Any = None  # in older files, unused
-    of_wrench: _Parameters | None = None
+    of_wrench: dict[str, Any] | None = None
 
     def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
         """The contact model on a socket's tiles."""
@@ -140,8 +205,8 @@ class _Parameters(documents.Document):
                 raise ConfigurationError(fact, _AGAIN)
         of_wrench = None
         if self.of_wrench is not None:
-            of_wrench = self.of_wrench.model(geometry, f"{where}: of_wrench")
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+            of_wrench = _predictor(self.of_wrench, geometry, f"{where}: of_wrench")
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         return ContactModel(
             variant=self.variant,
             names=geometry.names,
@@ -153,6 +218,24 @@ class _Parameters(documents.Document):
             of_wrench=of_wrench,
             **{name: np.array(value) for name, value in arrays.items() if value is not None},
         )
+
+
+def _predictor(data: dict[str, Any], geometry: SocketGeometry, where: str) -> WrenchModel:
+    """The predictor of the wrench; a regression of format 1 was written as a bed of no stiffness.
+
+    Args:
+        data: Its part of the document.
+        geometry: The socket of the model.
+        where: Start of every error.
+    """
+    if "stiffness" not in data:
+        return documents.convert(data, _OfWrench, where).predictor(where)
+    old = documents.convert(data, _Parameters, where).model(geometry, where)
+    if old.stiffness.any():
+        fact = f"{where}: the wrench is predicted by a second bed, as in an older version"
+        raise ConfigurationError(fact, _AGAIN)
+    unknown = np.full(6, np.nan)
+    return WrenchModel(old.reference_pose, old.wrench_slope, old.wrench_bias, unknown)
 
 
 class _Quality(Struct):  # the certificates are for human readers
@@ -196,7 +279,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> FittedMode
         raise ConfigurationError(error.fact, "give a file that 'fit' wrote") from None
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
-    if data["format"] != _FORMAT:
+    if data["format"] not in _FORMATS:
         fact = f"{path}: is of the format {documents.shown(data['format'])}"
         raise ConfigurationError(fact, _AGAIN)
     document = documents.convert(data, _Model, str(path))

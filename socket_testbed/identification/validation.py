@@ -25,10 +25,11 @@ from socket_testbed.arrays import FloatArray, IntArray, evenly, finite_mean, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import fit
-from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
+from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
+from socket_testbed.identification.wrench import REGRESSION, regress_wrench, relative_pose
 from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels
 from socket_testbed.settings.identification import (
     VARIANTS,
@@ -157,8 +158,8 @@ def close_wrench(
     return forces + change.reshape(forces.shape)
 
 
-WrenchPredictor = Callable[[FloatArray], FloatArray]
-"""From poses in {S}, shape (N, 6) [m, rad], to wrenches [M; F] in {S}, shape (N, 6) [N m, N]."""
+WrenchPredictor = Callable[[Samples], FloatArray]
+"""From the stamps and poses of N samples to wrenches [M; F] in {S}, shape (N, 6) [N m, N]."""
 
 
 def wrench_predictors(
@@ -172,12 +173,17 @@ def wrench_predictors(
         models: Models by the names that their predictors get.
     """
     mean, middle = samples.wrench.mean(axis=0), np.append(np.zeros(3), samples.attitude)
-    slope, constant = fit.regress_wrench(samples, relative_pose(samples.pose, middle))
+    slope, constant = regress_wrench(samples, relative_pose(samples.pose, middle))
     return {
-        CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
-        fit.REGRESSION: lambda pose: constant + relative_pose(pose, middle) @ slope.T,
-        **{name: partial(m.predict, clusters=()) for name, m in models.items()},
+        CONSTANT: lambda others: np.tile(mean, (len(others), 1)),
+        REGRESSION: lambda others: constant + relative_pose(others.pose, middle) @ slope.T,
+        **{name: partial(_wrench_of, model) for name, model in models.items()},
     }
+
+
+def _wrench_of(model: ContactModel, samples: Samples) -> FloatArray:
+    """Wrenches of a model at the samples, as a `WrenchPredictor`."""
+    return model.wrench(samples.pose, samples.stamps)
 
 
 def judge_wrench(
@@ -186,23 +192,28 @@ def judge_wrench(
     test: Test,
     fitted_on: str = "",
     tested_on: str = "",
+    rows: IntArray | None = None,
 ) -> Iterator[Judgement]:
     """Judge predictions of the wrench from the pose alone; a judgement for each predictor.
 
     Means leave out wrench channels without a value.
 
     Args:
-        samples: Samples of the test with every pose and wrench, such as those `under_load`; poses
-            averaged as in the fits.
-        predictors: From poses to wrenches, by name.
+        samples: Samples of the trial, poses averaged as in the fits.
+        predictors: From samples to wrenches, by name.
         test: Relation of the samples to those of the fit.
         fitted_on: Name of the trial of the fit.
         tested_on: Name of the trial of the samples.
+        rows: Indices of the k samples of the test, with every pose and wrench, such as those
+            `under_load`, shape (k,); None for all. The others are the past that a predictor with
+            memory knows.
     """
-    constant = np.array([fit.deviation(channel) for channel in samples.wrench.T])
+    rows = np.arange(len(samples)) if rows is None else rows
+    measured = samples.wrench[rows]
+    constant = np.array([fit.deviation(channel) for channel in measured.T])
     for name, predict in predictors.items():
-        rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
-        figures: dict[str, Any] = {"samples": len(samples)}
+        rmse = np.sqrt(np.mean((predict(samples)[rows] - measured) ** 2, axis=0))
+        figures: dict[str, Any] = {"samples": len(rows)}
         for kind, part in (("moment", MOMENTS), ("force", FORCES)):
             error = finite_mean(rmse[part])
             skill = fit.skill_of(error, finite_mean(constant[part]))
@@ -427,8 +438,8 @@ def judge_unseen_half(
     """
     first, second = split(samples, 0.0)
     model = fit.fit_contact_model(samples[first], geometry, settings).model
-    unseen = smooth_poses(samples[second], settings.pose_smoothing)
-    return fit.evaluate(unseen, model, settings.leave_out)
+    predicted = fit.predictions(samples, model, settings.pose_smoothing)
+    return fit.evaluate(samples[second], predicted[second], settings.leave_out)
 
 
 def judge_samples(
@@ -459,14 +470,12 @@ def judge_samples(
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name, prior_map)
     models = fit_variants(samples[first], geometry, settings.identification, notify)
-    window = settings.identification.pose_smoothing
-    seen, unseen = (smooth_poses(samples[half], window) for half in (first, second))
-    predictors = wrench_predictors(seen, models)
-    seen, unseen = (half[evenly(len(half), _MAX_WRENCHES)] for half in (seen, unseen))
-    found += judge_wrench(seen, predictors, "in-sample", name, name)
-    found += judge_wrench(unseen, predictors, "second half", name, name)
+    samples = smooth_poses(samples, settings.identification.pose_smoothing)
+    predictors = wrench_predictors(samples[first], models)
+    seen, unseen = (half[evenly(len(half), _MAX_WRENCHES)] for half in (first, second))
+    found += judge_wrench(samples, predictors, "in-sample", name, name, seen)
+    found += judge_wrench(samples, predictors, "second half", name, name, unseen)
     if truth is not None:
-        samples = smooth_poses(samples, window)
         rows = second[evenly(len(second), MAX_SAMPLES)]
         estimators = field_estimators(geometry, settings.force_map, prior_map) | {
             variant: partial(_forces_of, model) for variant, model in models.items()

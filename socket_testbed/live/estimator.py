@@ -29,6 +29,7 @@ from socket_testbed.identification.fit import Fit, FittedModel
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.plausibility import channel_limits
+from socket_testbed.identification.wrench import PoseTrail
 from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
@@ -200,6 +201,7 @@ class OnlineEstimator:
         self._last_trigger = 0
         self._jumps = 0  # back in time
         self._model: ContactModel | None = None
+        self._trail: PoseTrail | None = None  # of the limb, for a model with memory
         self._last_stamp = 0  # of the samples behind the model [ns]
         self._fitted_with = settings().identification
         self._origin = ""  # description of the model
@@ -232,7 +234,7 @@ class OnlineEstimator:
             ConfigurationError: If the file is wrong, or its model was fitted on another socket.
         """
         stored = read_model(path, self._geometry)
-        self._model, self._last_stamp = stored.model, 0
+        self._model, self._trail, self._last_stamp = stored.model, stored.model.trail(), 0
         self._origin = f"predicting with the model of {stored.trial}"
         self._state = (OK, self._origin)
         self._notify(stored)
@@ -323,7 +325,8 @@ class OnlineEstimator:
         if model is None:
             return None, None
         self._counts["predictions"] += 1
-        return model.wrench(sample.pose)[0], model.forces(sample.pose)[0]
+        wrench = model.wrench(sample.pose, sample.stamps, self._trail)
+        return wrench[0], model.forces(sample.pose)[0]
 
     def _keep(self, sample: Samples) -> None:
         """Keep a complete sample; start a fit and a data check when due."""
@@ -394,7 +397,7 @@ class OnlineEstimator:
             self._state = (OK, f"{self._origin}; kept: {refit.contest}")
             return
         fit = refit.fit
-        self._model = fit.model
+        self._model, self._trail = fit.model, self._trail_of(fit.model)
         self._last_stamp = fit.last_stamp if since == self._jumps else 0
         self._fitted_with = settings
         self._counts["fits"] += 1
@@ -407,6 +410,15 @@ class OnlineEstimator:
         judged = f"; it replaced the previous model: {refit.contest}" if refit.contest else ""
         self._state = (OK, self._origin + judged)
         self._notify(fit)
+
+    def _trail_of(self, model: ContactModel) -> PoseTrail | None:
+        """Where the limb has been so far, for a model with memory; None for one without."""
+        trail = model.trail()
+        with self._lock:
+            past = self._window.samples() if trail is not None and len(self._window) else None
+        if past is not None:
+            model.wrench(past.pose, past.stamps, trail)
+        return trail
 
     def _check(self, stamp: int) -> None:
         """Start a check of the window's data."""

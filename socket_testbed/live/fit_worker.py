@@ -13,7 +13,7 @@ from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 
-from socket_testbed.arrays import rms
+from socket_testbed.arrays import IntArray, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.files import end_with_parent
 from socket_testbed.geometry.socket import SocketGeometry
@@ -172,8 +172,8 @@ def fit_samples(
     Raises:
         IdentificationError: If the samples cannot be fitted, or the wrench is negated.
     """
-    # In live use, a centred window would lag, and the wrench is measured anyway.
-    settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())
+    # In live use, a centred window would lag.
+    settings = replace(settings, pose_smoothing=0.0)
     checked = CheckedSamples(samples, geometry, settings.leave_out, whole=False)
     if steady is None:
         return Refit(_plausible_fit(checked.part(), geometry, settings))
@@ -195,7 +195,7 @@ def fit_samples(
         fit = _plausible_fit(checked.part(used), geometry, settings)
         contest = None
         if steady.rival is not None:
-            contest = _judge(steady.rival, fit.model, cleaned[newest], settings)
+            contest = _judge(steady.rival, fit.model, cleaned, newest, settings)
         return Refit(fit, contest, stretch.cause)
     return None
 
@@ -212,19 +212,31 @@ def _plausible_fit(
 
 
 def _judge(
-    old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
+    old: ContactModel,
+    new: ContactModel,
+    samples: Samples,
+    rows: IntArray,
+    settings: IdentificationSettings,
 ) -> Contest:
-    """Compare the errors of two models, relative to the size of each group for any weights."""
-    measured = samples.without(settings.leave_out).trusted_values
+    """Compare the errors of two models, relative to the size of each group for any weights.
+
+    Args:
+        old: The model to be replaced.
+        new: The model that would replace it.
+        samples: N samples, which precede and include those of the comparison.
+        rows: Indices of the samples of the comparison, shape (k,).
+        settings: Settings of the fit.
+    """
+    measured = samples[rows].without(settings.leave_out).trusted_values
     size = np.repeat(group_sizes(measured), [3, 3, measured.shape[1] - 6])
 
     def error(model: ContactModel) -> float:
-        predicted = model.predict(samples.pose, samples.clusters)
+        predicted = model.predict(samples.pose, samples.clusters, samples.stamps)[rows]
         relative = (predicted - measured) / size
         wrench, clusters = rms(relative[:, :6], 0.0), rms(relative[:, 6:], 0.0)
         return float(np.sqrt(settings.theta * wrench**2 + (1.0 - settings.theta) * clusters**2))
 
-    return Contest(len(samples), error(old), error(new))
+    return Contest(len(rows), error(old), error(new))
 
 
 def check_samples(

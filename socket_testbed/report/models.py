@@ -22,7 +22,7 @@ from socket_testbed.figures.style import (
 )
 from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import QUOTED, REGRESSION, ChannelErrors, summarise_errors
+from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
@@ -67,9 +67,9 @@ def _describe(label: str, candidate: Evaluation) -> str:
     of_wrench = model.of_wrench
     offset = float(np.linalg.norm(model.wrench_bias[3:]))
     if of_wrench is not None:
-        springs = f"springs of sharpness {of_wrench.sharpness:g} /m"
-        kind = springs if of_wrench.stiffness.any() else REGRESSION
-        parts.append(f"its wrench is predicted by {kind}, not by the springs on the tiles")
+        parts.append(
+            f"its wrench is predicted by {of_wrench.name}, not by the springs on the tiles"
+        )
     elif offset > 0.0:
         parts.append(f"its constant force, carried by no tile, {number(offset)} N")
     return f"{label}: {'; '.join(parts)}."

@@ -372,9 +372,12 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
         IdentificationError: If the limb positions of the segment are in another unit or frame.
     """
     leave_out = model.settings.leave_out
-    samples = trial.checked(leave_out).posed(segment.rows)
+    checked = trial.checked(leave_out)
+    samples = checked.posed(segment.rows)
+    past = checked.samples[: segment.rows.start]
     with threadpool_limits(1):
-        errors = evaluate(samples, model.predictions(samples), leave_out)
+        predicted = model.predictions(samples, past)
+    errors = evaluate(samples, predicted, leave_out)
     return Evaluation(trial, model, segment, int(samples.has_pose_and_wrench.sum()), errors)
 
 

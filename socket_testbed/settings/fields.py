@@ -25,6 +25,8 @@ S = TypeVar("S", bound="Settings")
 
 # Switches in older files that were removed; accepted if they are off.
 _RETIRED = ("noise_correction",)
+# Settings in older files that were removed; accepted with any value, as nothing reads them.
+_UNREAD = ("wrench_sharpness",)
 
 _WIDTH = 92  # [characters]; of the lines of a section `Attributes:`
 
@@ -171,6 +173,7 @@ class Settings:
         """
         if not prefix:
             kept = [n for n in values if not (values[n] is False and n.endswith(_RETIRED))]
+            kept = [name for name in kept if not name.endswith(_UNREAD)]
             refuse_unknown(kept, cls.flat(), where)
         hints = _hints(cls)
         arguments: dict[str, Any] = {}

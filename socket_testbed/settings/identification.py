@@ -72,11 +72,6 @@ class IdentificationSettings(Settings):
     contact_sharpness: float = setting(
         1000.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
     )
-    wrench_sharpness: tuple[float, ...] = setting(
-        (100.0, 20.0), "sharpness of further contacts tried for the wrench of rigid_bias, besides a"
-        " linear regression on the pose; one that is clearly better on the unseen half of the"
-        " samples predicts the wrench; empty: contact_sharpness alone [1/m]", 1.0, 1e6,
-    )  # fmt: skip
     prior: float = setting(
         1.0, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
     )

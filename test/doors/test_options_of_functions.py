@@ -140,8 +140,8 @@ def call_predict(stage: Stage, **options: Any) -> None:
 def call_evaluate(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
 
-    def predicted(stored: Any, samples: Any) -> Any:
-        stage.seen |= {"predicted": len(samples), "model of": stored.trial}
+    def predicted(stored: Any, samples: Any, past: Any = None) -> Any:
+        stage.seen |= {"predicted": len(samples), "past": len(past), "model of": stored.trial}
         stage.seen["averaged over"] = stored.settings.pose_smoothing
         return np.zeros((len(samples), 18))
 
@@ -540,7 +540,7 @@ CASES: dict[str, Cases] = {
     "predict": {"model": ("other.json", {"model of": "other"})},
     "evaluate": {
         "model": ("other.json", {"model of": "other"}),
-        "segment": ("2:5", {"part": "2:5", "segment": SPAN, "predicted": 13}),
+        "segment": ("2:5", {"part": "2:5", "segment": SPAN, "predicted": 13, "past": 8}),
         "pose_smoothing": (1.5, {"averaged over": 1.5}),
         "pressure": (True, {"pressure of": "all 0.00 s to 23.75 s"}),
     },

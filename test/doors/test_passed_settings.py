@@ -48,7 +48,7 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
         stage.seen |= {"fitted": len(samples), "theta": own.theta}
         return results_by_hand.fit_by_hand(samples, geometry, own)
 
-    def predicted(samples: Samples, model: Any, window: float) -> np.ndarray:
+    def predicted(samples: Samples, model: Any, window: float, past: Any = None) -> np.ndarray:
         stage.seen[f"averaged to predict {len(samples)}"] = window
         return np.zeros((len(samples), 18))
 
@@ -245,8 +245,10 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
         calls.append(("fitted", (samples[0], samples[-1]), own.theta))
         return {"rigid": SimpleNamespace()}
 
-    def wrench(samples: Any, predictors: Any, test: str, *names: str) -> list[str]:
-        calls.append((test, samples.tolist(), predictors, *names))
+    def wrench(
+        samples: Any, predictors: Any, test: str, fitted_on: str, tested_on: str, rows: Any
+    ) -> list[str]:
+        calls.append((test, samples[rows].tolist(), predictors, fitted_on, tested_on))
         return [test]
 
     def tiles(samples: Any, geometry: Any, truth: Any, estimators: Any, name: str) -> list[str]:
@@ -289,11 +291,9 @@ def test_judgements_are_made_with_the_settings(stage: Stage) -> None:
         ("split", 35.0),
         ("clusters", 0.05, 35.0, "scene"),
         ("fitted", (0, 19), 0.25),
-        ("averaged", (0, 19), 1.5),
-        ("averaged", (20, 39), 1.5),
+        ("averaged", (0, 39), 1.5),
         ("in-sample", [0, 9, 19], "of 0: 19", "scene", "scene"),
         ("second half", [20, 29, 39], "of 0: 19", "scene", "scene"),
-        ("averaged", (0, 39), 1.5),
         ("prior", 0.05),
         ("tiles", [20, 29, 39], [120, 129, 139], ["map", "rigid"], "scene"),
     ]
@@ -311,18 +311,20 @@ def test_an_unseen_half_has_the_settings(stage: Stage) -> None:
         calls.append(("fitted", len(samples), own.theta))
         return SimpleNamespace(model="a model")
 
-    def smooth(samples: Samples, window: float) -> str:
-        calls.append(("averaged", len(samples), window))
-        return "averaged"
+    def predicted(samples: Samples, model: Any, window: float, past: Any = None) -> Any:
+        calls.append((model, len(samples), window))
+        return np.arange(96)
 
     stage.patch.setattr(validation, "split", split)
     stage.patch.setattr(validation.fit, "fit_contact_model", fit)
-    stage.patch.setattr(validation, "smooth_poses", smooth)
+    stage.patch.setattr(validation.fit, "predictions", predicted)
     stage.patch.setattr(validation.fit, "evaluate", lambda *given: given)
     own = settings_of(pose_smoothing=1.5, theta=0.25, leave_out=WITHOUT).identification
     found = validation.judge_unseen_half(stage.trial.samples(), stage.trial.geometry, own)
-    assert found == ("averaged", "a model", WITHOUT)
-    assert calls == [("split", 0.0), ("fitted", 40, 0.25), ("averaged", 56, 1.5)]
+    samples, values, left_out = found
+    assert len(samples) == 56 and left_out == WITHOUT  # type: ignore[arg-type, comparison-overlap]
+    assert values.tolist() == [*range(40, 96)]  # type: ignore[attr-defined]
+    assert calls == [("split", 0.0), ("fitted", 40, 0.25), ("a model", 96, 1.5)]
 
 
 @pytest.mark.parametrize("least_force", [20.0, 70.0])

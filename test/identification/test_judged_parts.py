@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from support import scene
 from support.problems import make_case, make_samples
-from support.results_by_hand import rigid_model
 
 from socket_testbed.api import validation as api
-from socket_testbed.identification import fit, pareto, validation
+from socket_testbed.identification import pareto, validation
 from socket_testbed.identification.solver import Certificate
-from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 
 COUNT = 80
@@ -61,32 +59,6 @@ def test_others_are_tested_by_these_models(loaded: Any, monkeypatch: pytest.Monk
     found = first.judge_others([second])
     assert {(each.fitted_on, each.tested_on) for each in found} == {("first", "second")}
     assert {each.test for each in found} == {"other trial"} and len(found) == 2
-
-
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (0.6, "springs of sharpness 20 /m: 25 % less error on the unseen half than the bed's own"),
-        (0.77, ""),  # less than 5 % better
-    ],
-    ids=["better", "hardly"],
-)
-def test_a_better_wrench_is_told_in_percent(
-    error: float, words: str, loaded: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The bed's own springs have an error of 0.8."""
-    errors = {1000.0: 0.8, 100.0: 0.9, 20.0: error, "regression": 0.95}
-    monkeypatch.setattr(
-        fit,
-        "fit_contact_model",
-        lambda samples, socket, settings: SimpleNamespace(model=settings.contact_sharpness),
-    )
-    monkeypatch.setattr(fit, "_regression", lambda model, samples: "regression")
-    monkeypatch.setattr(fit, "_wrench_error", lambda model, samples: errors[model])
-    socket, settings = scene.geometry(), IdentificationSettings()
-    model, said = fit._with_wrench_model(rigid_model(socket), loaded, loaded, socket, settings)
-    assert said.startswith(words) and bool(said) is bool(words)
-    assert model.of_wrench == (20.0 if words else None)
 
 
 @pytest.mark.parametrize("worse", ["rest positions", "stiffnesses"])

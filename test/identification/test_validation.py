@@ -7,8 +7,9 @@ import pytest
 from support.problems import make_samples, random_socket
 
 from socket_testbed.arrays import evenly
-from socket_testbed.identification import fit, validation
+from socket_testbed.identification import validation
 from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.wrench import REGRESSION
 from socket_testbed.samples import turned
 from socket_testbed.settings.identification import ForceMapSettings
 
@@ -70,9 +71,9 @@ def test_the_regression_finds_a_linear_law(rng, about_y: float):
     frame = rng.normal(size=3)  # of the limb
     samples.wrench[:] = np.hstack([samples.position, small]) @ slope
     seen = replace(samples, rotation=turned(small, frame))[:30]
-    predict = validation.wrench_predictors(seen, {})[fit.REGRESSION]
+    predict = validation.wrench_predictors(seen, {})[REGRESSION]
     turn = turned(small + np.array([0.0, about_y, 0.0]), frame)
-    assert np.allclose(predict(replace(samples, rotation=turn).pose), samples.wrench)
+    assert np.allclose(predict(replace(samples, rotation=turn)), samples.wrench)
 
 
 def test_a_constant_has_no_skill_in_sample(rng):
@@ -82,8 +83,8 @@ def test_a_constant_has_no_skill_in_sample(rng):
     found = {j.predictor: j for j in validation.judge_wrench(samples, predictors, "in-sample")}
     constant = found[validation.CONSTANT]
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
-    assert found[fit.REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
-    assert found[fit.REGRESSION].moment_skill > 0.9
+    assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
+    assert found[REGRESSION].moment_skill > 0.9
 
 
 def test_channels_never_measured_are_judged_by_the_others(rng):

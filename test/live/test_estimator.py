@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import HANGS
+from support.problems import make_samples
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, IdentificationError
@@ -21,7 +22,8 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit, FittedModel, fit_contact_model
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
-from socket_testbed.identification.model_file import read_model
+from socket_testbed.identification.model_file import read_model, write_model
+from socket_testbed.identification.wrench import WrenchModel, _fit_memory
 from socket_testbed.live import estimator
 from socket_testbed.live.fit_worker import Contest, FitWorker, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
@@ -353,6 +355,7 @@ def test_a_fit_on_request_takes_all_samples(on_request: Bench, fit: Fit) -> None
 
 @pytest.mark.parametrize("worse", [False, True], ids=["refit-better", "refit-worse"])
 def test_the_better_model_of_newest_samples_stays(bench: Bench, fit: Fit, worse: bool) -> None:
+    fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, of_wrench=None))
     bench.send(20)
     bench.answer(0, fit, cause="distal.Fz changed by -20.0 N")
     assert "older samples left out: distal.Fz changed by -20.0 N" in bench.estimator.state[1]
@@ -527,3 +530,31 @@ def test_wrong_samples_are_refused(
 ) -> None:
     with refused(IdentificationError, text):
         fit_samples(change(samples), trial.geometry, SETTINGS, steady)
+
+
+@pytest.mark.parametrize("loaded", [True, False], ids=["loaded", "fitted"])
+def test_a_live_memory_is_that_of_the_trial(
+    bench: Bench, fit: Fit, loaded: bool, tmp_path: Path
+) -> None:
+    """A model that arrives later knows the poses of the window."""
+    rng = np.random.default_rng(2)
+    motion = np.column_stack([np.sin(np.arange(160) / n) for n in range(3, 9)])
+    own = make_samples(1e-3 * motion, rng.normal(size=(160, 6)), {"a": np.zeros((160, 3))})
+    memory = _fit_memory(own, own.pose, own.wrench, np.arange(0, 160, 2))
+    measured = bench.values(2.5e-3)
+    limb = bench.geometry.limb_of(measured[SOCKET_POSE], measured[PYLON_POSE])
+    middle = np.append(limb.translation, limb.rotation_vector())
+    of_wrench = WrenchModel(middle, np.zeros((6, 6)), np.zeros(6), np.ones(6), memory)
+    fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, of_wrench=of_wrench))
+    if loaded:
+        write_model(fit, tmp_path / "model.json", {"name": "made up"})
+        bench.estimator.load(tmp_path / "model.json")
+        bench.send(50)
+    else:
+        bench.send(20)
+        bench.answer(0, fit)
+        bench.send(30, start=20)
+    window = bench.estimator._window.samples()
+    expected = fit.model.wrench(window.pose, window.stamps)
+    assert np.ptp(expected[:, 3]) > 0.01
+    np.testing.assert_allclose(bench.predicted[49], expected[49], rtol=1e-6)

@@ -122,7 +122,8 @@ def fit(**changes: Any) -> Any:
     model = SimpleNamespace(
         variant="rigid_bias",
         stiffness=np.zeros((12, 3)),
-        wrench=lambda pose: np.ones((len(pose), 6)),
+        trail=lambda: None,
+        wrench=lambda pose, stamps, trail: np.ones((len(pose), 6)),
         forces=lambda pose: np.full((len(pose), 12, 3), 2.0),
     )
     own = {"model": model, "samples": 80, "determined": 29.7, "last_stamp": scene.START}
@@ -279,15 +280,16 @@ def test_errors_are_relative_and_weighed_by_theta(theta: float, old: float) -> N
     status = np.zeros((5, 1), np.uint8)
     rest = np.zeros((5, 3))
     own = Samples(np.arange(5), rest, rest, wrench, ("a",), forces, status)
+    newest = np.array([1, 2, 3, 4])
     off = np.array([0.6] * 3 + [3.0] * 3 + [8.0] * 3)
 
     def model(factor: float) -> Any:
         predicted = np.hstack([wrench, forces[:, 0]]) + factor * off
-        return SimpleNamespace(predict=lambda pose, clusters: predicted)
+        return SimpleNamespace(predict=lambda pose, clusters, stamps: predicted)
 
     chosen = IdentificationSettings(theta=theta)
-    found = fit_worker._judge(model(1.0), model(0.5), own, chosen)
-    assert found.samples == 5
+    found = fit_worker._judge(model(1.0), model(0.5), own, newest, chosen)
+    assert found.samples == 4
     assert (found.old, found.new) == pytest.approx((old, 0.5 * old), rel=1e-5)
 
 

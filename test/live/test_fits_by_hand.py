@@ -77,7 +77,8 @@ def fit(number: int) -> Any:
     model = SimpleNamespace(
         variant="rigid_bias",
         stiffness=np.zeros((12, 3)),
-        wrench=lambda pose: np.ones((len(pose), 6)),
+        trail=lambda: None,
+        wrench=lambda pose, stamps, trail: np.ones((len(pose), 6)),
         forces=lambda pose: np.full((len(pose), 12, 3), 2.0),
     )
     stamp = scene.START + number * TENTH
@@ -261,9 +262,10 @@ class Fitted:
         self.settings.append(settings)
         return SimpleNamespace(model="new")
 
-    def judge(self, old: Any, new: Any, own: Samples, settings: Any) -> Any:
+    def judge(self, old: Any, new: Any, own: Samples, rows: Any, settings: Any) -> Any:
         assert (old, new) == ("old", "new")
-        self.judged.append(own)
+        assert len(own) == 100  # the past of the newest samples
+        self.judged.append(own[rows])
         return "contest"
 
     def numbers(self, own: Samples) -> tuple[int, int]:

@@ -101,7 +101,8 @@ def test_a_refit_waits_for_new_samples(every: int, samples: int, fits: int, work
     model = SimpleNamespace(
         variant="rigid_bias",
         stiffness=np.zeros((12, 3)),
-        wrench=lambda pose: np.ones((len(pose), 6)),
+        trail=lambda: None,
+        wrench=lambda pose, stamps, trail: np.ones((len(pose), 6)),
         forces=lambda pose: np.full((len(pose), 12, 3), 2.0),
     )
     fit = SimpleNamespace(model=model, samples=12, determined=30.0, last_stamp=scene.START)

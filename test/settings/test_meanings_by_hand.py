@@ -39,7 +39,6 @@ UNITS = {
     """,
     "1/m": """
         estimator.identification.gate_sharpness estimator.identification.contact_sharpness
-        estimator.identification.wrench_sharpness
     """,
     "m": """
         estimator.identification.reference_position estimator.identification.rest_position_limit

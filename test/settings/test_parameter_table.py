@@ -99,7 +99,6 @@ TABLE = {
         identification.stiffness_difference = 1000.0 0.001..1e+07
         identification.rest_position_difference = 0.002 1e-06..0.1
         identification.contact_sharpness = 1000.0 1..1e+06
-        identification.wrench_sharpness = (100.0, 20.0) 1..1e+06
         identification.prior = 1.0 1e-09..1e+06
         identification.leave_out = ()
         identification.frames = 0 0..1e+07
@@ -254,6 +253,12 @@ def test_a_retired_switch_is_accepted_while_off() -> None:
     for value in (True, 0):
         with pytest.raises(Exception, match="unknown key 'noise_correction'"):
             kind.from_flat({"noise_correction": value}, "here")
+
+
+def test_a_setting_that_nothing_reads_is_accepted() -> None:
+    kind = identification.IdentificationSettings
+    old = {"wrench_sharpness": [100.0, 20.0], "theta": 0.2}
+    assert kind.from_flat(old, "here") == kind(theta=0.2)
 
 
 def test_help_tells_default_range_and_choices() -> None:

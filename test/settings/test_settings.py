@@ -29,7 +29,7 @@ def test_help_shows_unit_default_and_range():
     assert "theta: weight of the wrench against the clusters, on normalised errors [-];" in shown
     assert "[-]; default 0.5; from 0 to 1. weights:" in shown
     assert "default 'size'; one of 'size', 'noise', 'raw'." in shown
-    assert "default (100.0, 20.0); each from 1 to 1e+06." in shown
+    assert "default (); each from -10 to 10." in shown
     assert "default 'osqp'. solver_tolerance:" in shown
     nested = inspect.getdoc(testbed.EstimatorSettings)
     assert "\n    identification: nested settings, a `IdentificationSettings`.\n" in nested
@@ -257,7 +257,7 @@ def test_what_is_written_comes_back(tmp_path):
     path = tmp_path / "testbed.yaml"
     estimator = testbed.EstimatorSettings(
         geometry="socket.yaml",
-        identification=IdentificationSettings(leave_out=("Mz",), theta=0.3, wrench_sharpness=()),
+        identification=IdentificationSettings(leave_out=("Mz",), theta=0.3),
     )
     trigger = TriggerSettings(rate=20.0, wait_for=("mocap_node",), simulation="world")
     testbed.write_testbed({"estimator_node": estimator, "trigger_node": trigger}, path)
