@@ -226,7 +226,7 @@ def test_a_donning_varies_with_its_share() -> None:
 
 @pytest.mark.parametrize(("along", "left"), [(0.5, 750.0), (0.0, 0.0)])
 def test_seating_leaves_shear(along: float, left: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the upright tile `ant_prox`: 0.5 along z of 0.5 * 1.5 MPa/m * 2 mm, which friction holds."""
+    """On upright tile `ant_prox`: 0.5 along z of 0.5 * 1.5 MPa/m * 2 mm, which friction holds."""
     monkeypatch.setattr(LoadedLimb, "step", lambda self, load, duration: None)
     seating = np.array([0.0, 0.0, along, 0.0, 0.0, 0.0])
     donned = Donning(np.zeros(3), np.zeros(3), 0.0, seating)
