@@ -347,7 +347,7 @@ def test_correlation_falls_with_distance() -> None:
 
 def test_unlikely_hypotheses_do_not_count() -> None:
     """Less than 1 / 500 of the likeliest."""
-    found = force_map._probabilities(3.0 + np.log([1.0, 0.5, 0.0021, 0.0019]))
+    found = force_map.probabilities(3.0 + np.log([1.0, 0.5, 0.0021, 0.0019]))
     assert found == pytest.approx(np.array([1.0, 0.5, 0.0021, 0.0]) / 1.5021)
 
 
