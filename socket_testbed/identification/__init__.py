@@ -13,7 +13,7 @@ it from the clusters and the wrench; `pressure` evaluates regions of it.
 once for everything else, by three rule books: `data_check` points out what to look at,
 `plausibility` checks magnitude and sign, `noise` estimates the noise. Models: `information` shows
 what the trial determines. All estimates: `validation` tests them on unseen data, next to simple
-baselines, and `survey` against what clusters measured elsewhere in other trials of the limb, from
-which it completes the map. `suspension` measures the stiffness between limb and socket without a model,
-`differences` compares trials.
+baselines; `survey` tests the force map by what clusters measured elsewhere in other trials of the
+limb, and completes it from them. `suspension` measures the stiffness between limb and socket
+without a model, `differences` compares trials.
 """

@@ -355,7 +355,8 @@ class JointMap:
             share = term.weight * float(term.scale.mean())
             before += share * float((limb.variances - (gain * known).sum(axis=1)).sum())
             states.append((share, onto, channels))
-        gained, chosen = 0.0, []
+        gained = 0.0
+        chosen: list[int] = []
         rows = np.arange(_WRENCH)
         for step in range(count + 1):
             if step:
@@ -513,7 +514,7 @@ def judge(
     geometry: SocketGeometry,
     trials: Sequence[Donned],
     joint: JointMap,
-    settings: ForceMapSettings | None = None,
+    singles: Sequence[JointMap],
 ) -> Judgements:
     """Judge the map of each trial by the forces that the other trials measured elsewhere.
 
@@ -521,15 +522,14 @@ def judge(
         geometry: The socket with its n tiles.
         trials: What each of J trials measured at S states.
         joint: The map of all trials.
-        settings: Prior of the maps; None for the default settings.
+        singles: The map of each trial alone.
 
     Raises:
         IdentificationError: No trial measured where another one did not.
     """
-    maps = [JointMap(geometry, [trial], settings) for trial in trials]
-    fields = [each.field(0) for each in maps]
+    fields = [each.field(0) for each in singles]
     completed = [joint.field(number) for number in range(len(trials))]
-    points = tuple(_points(geometry, trials, joint, maps, fields))
+    points = tuple(_points(geometry, trials, joint, singles, fields))
     if not points:
         raise IdentificationError(
             "all trials have their clusters on the same tiles: nothing judges the maps between"
@@ -564,10 +564,10 @@ def _points(
     geometry: SocketGeometry,
     trials: Sequence[Donned],
     joint: JointMap,
-    maps: Sequence[JointMap],
+    singles: Sequence[JointMap],
     fields: Sequence[Field],
 ) -> Iterable[JudgedPoint]:
-    followed = [2.0 * joint.change**2 * each.followed(0) for each in maps]
+    followed = [2.0 * joint.change**2 * each.followed(0) for each in singles]
     rivals = [_rival(geometry, trial) for trial in trials]
     for mine, others in permutations(range(len(trials)), 2):
         field, other = fields[mine], trials[others]

@@ -167,14 +167,9 @@ def segment_option(default: str) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialFiles(Options):
-    """Files and tare that a trial is opened with."""
+class SensorFiles(Options):
+    """Files and tare that the sensors of a trial are read with."""
 
-    geometry: Path | None = option(
-        None,
-        "a socket.yaml to use instead of the trial's own. If a body's markers differ there, its"
-        " poses are refitted to the recorded markers",
-    )
     calibration: Path | None = option(None, "a calibration.yaml to use instead of the trial's own")
     load_cell: Path | None = option(
         None,
@@ -186,6 +181,17 @@ class TrialFiles(Options):
         "tare to subtract from the wrenches: the recorded one, none, or the mean of T0:T1, an"
         " unloaded span in seconds since the first sample",
         metavar="T0:T1|none|recorded",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialFiles(SensorFiles):
+    """Files and tare that a trial is opened with."""
+
+    geometry: Path | None = option(
+        None,
+        "a socket.yaml to use instead of the trial's own. If a body's markers differ there, its"
+        " poses are refitted to the recorded markers",
     )
 
 
@@ -337,6 +343,22 @@ class ComparisonOptions(Options):
         PressureOptions.threshold, "pressure above which a tile is in contact [kPa]"
     )
     by_region: bool = option(False, "compare trials by region alone; their sockets may then differ")
+    params: Path | None = option(None, _PARAMS_OF_EACH)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyOptions(Options):
+    """Options of `st.survey`."""
+
+    segment: str = segment_option("plateau")
+    clusters: int | None = option(
+        None,
+        "number of clusters of the next trial, for which places are proposed (default: as many as"
+        " in the last one)",
+    )
+    keep_out: Sequence[str] = several(
+        "regions and tiles excluded from proposals, such as anterior proximal"
+    )
     params: Path | None = option(None, _PARAMS_OF_EACH)
 
 

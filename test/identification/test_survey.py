@@ -263,7 +263,8 @@ def test_judged_error_scales_with_what_was_measured() -> None:
     """Twice the differences and forces: the same error; the ratio estimate by its equation."""
     surveyed = trials()
     joint = JointMap(GEOMETRY, surveyed, SOME)
-    found = survey.judge(GEOMETRY, surveyed, joint, SOME)
+    singles = [JointMap(GEOMETRY, [trial], SOME) for trial in surveyed]
+    found = survey.judge(GEOMETRY, surveyed, joint, singles)
     tiles = {(each.trial, each.tile) for each in found.points}
     assert (0, 14) not in tiles  # that is a repeat
     assert found.repeats == 1
@@ -272,7 +273,7 @@ def test_judged_error_scales_with_what_was_measured() -> None:
     own = of_own = 0.0
     for number, trial in enumerate(surveyed):
         bare = [tile for tile in range(TILES) if tile not in trial.tiles]
-        single = JointMap(GEOMETRY, [trial], SOME).field(0)
+        single = singles[number].field(0)
         own += (single.deviations[:, bare] ** 2).sum()
         of_own += (joint.field(number).forces[:, bare] ** 2).sum()
     assert found.error.value == pytest.approx(np.sqrt(c2 * own / of_own))
@@ -282,5 +283,6 @@ def test_clusters_that_never_moved_judge_nothing() -> None:
     one, two, _ = trials()
     still = [one, Donned(one.tiles, two.values)]
     joint = JointMap(GEOMETRY, still, ONE)
+    singles = [JointMap(GEOMETRY, [trial], ONE) for trial in still]
     with pytest.raises(IdentificationError, match="on the same tiles"):
-        survey.judge(GEOMETRY, still, joint, ONE)
+        survey.judge(GEOMETRY, still, joint, singles)
