@@ -24,7 +24,12 @@ from socket_testbed.api.trials import (
 from socket_testbed.arrays import BoolArray, FloatArray, rms
 from socket_testbed.documents import check_whole, finite_or_null
 from socket_testbed.errors import ConfigurationError, IdentificationError, naming
-from socket_testbed.geometry.regions import Region, all_regions, part_of
+from socket_testbed.geometry.regions import (
+    DISTAL_END,
+    all_regions,
+    anatomical_regions,
+    place_of,
+)
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
@@ -44,15 +49,16 @@ if TYPE_CHECKING:
     from socket_testbed.figures.style import FigureStyle
 
 _MAX_TRIALS = 12
+_MAX_CLUSTERS = 64
 _BANDS = (0.0, 0.04, 0.06, np.inf)  # [m]; distances from the nearest cluster
 _LOAD_TOLERANCE = 0.05  # [-]; mismatch of like loads that is noted
 LIMB = "limb"
 """Name of the map of what all donnings share."""
 LEGEND = (
     "error: rms difference between the map of one trial and what clusters measured elsewhere in"
-    " another, over the rms of the measured forces; rival: inverse distance with the wrench matched;"
-    " bias: how much too hard the map presses; in 50, 80, 95 %: share of the measured values within"
-    " these intervals of map and sensor"
+    " another, over the rms of the measured forces; rival: inverse distance with the wrench"
+    " matched; bias: how much too hard the map presses; in 50, 80, 95 %: share of the measured"
+    " values within these intervals of map and sensor"
 )
 
 
@@ -111,8 +117,8 @@ class Survey(Result):
         found, whole = self.judgements, numerics.score(self.judgements.points)
         return (
             f"on this limb a map of {several} clusters is within {_ranged(found.error)} of the"
-            f" force between them; {100.0 * whole.coverage[-1]:.0f} % of {whole.values} measured values"
-            f" lie in its {100.0 * LEVELS[-1]:.0f} % intervals; donning and sensors explain"
+            f" force between them; {100.0 * whole.coverage[-1]:.0f} % of {whole.values} measured"
+            f" values lie in its {100.0 * LEVELS[-1]:.0f} % intervals; donning and sensors explain"
             f" {_percent(found.explained)} of the judged square"
         )
 
@@ -197,12 +203,11 @@ class Survey(Result):
         tiles = {name: tile for tile, name in enumerate(self.geometry.names) if name in names}
         return replace(self.geometry, clusters=tiles, turned={})
 
-    def _places(self) -> tuple[Region, ...]:
-        return all_regions(self.geometry, self.side)
-
     def _region(self, tile: int) -> str:
-        """Sector of the wall or end that a tile is in, such as `anterior`."""
-        return part_of(self._places(), tile).split(" ")[0]
+        """Sector of the wall that a tile is on, such as `anterior`, or the distal end."""
+        places = anatomical_regions(self.geometry, self.side)
+        found = place_of(self.geometry, places, tile)
+        return found if found == DISTAL_END else found.split(" ")[0]
 
     def scores(self) -> pd.DataFrame:
         """How well the maps predict what other trials measured, indexed by `judged`.
@@ -429,7 +434,11 @@ def survey(
         report(done, len(opened) + 2)
     donned, mismatch = _matched(parts, settings)
     free = _free_tiles(geometry, parts, keep_out)
-    wanted = len(donned[-1].tiles) if clusters is None else check_whole(clusters, "--clusters")
+    wanted = (
+        len(donned[-1].tiles)
+        if clusters is None
+        else check_whole(clusters, "--clusters", 0, _MAX_CLUSTERS)
+    )
     if wanted > free.sum():
         raise ConfigurationError(
             f"{wanted} clusters do not fit on {free.sum()} tiles that no trial measured",
