@@ -263,6 +263,30 @@ def call_compare(stage: Stage, **options: Any) -> None:
     stage.seen["tiles"] = found.geometry is not None
 
 
+@calls
+def call_survey(stage: Stage, **options: Any) -> None:
+    stage.watch_trials()
+    shutil.copytree("scene", "second", dirs_exist_ok=True)
+
+    class Joint:
+        change = 0.1
+
+        def __init__(self, geometry: Any, donned: Any, settings: Any) -> None:
+            stage.seen |= {"length": settings.length, "loads": len(donned[0].values)}
+
+        def field(self, trial: int | None = None) -> None:
+            return None
+
+        def place_next(self, count: int, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+            stage.seen |= {"clusters": count, "not for": np.flatnonzero(~allowed).tolist()}
+            return np.arange(count), 0.9
+
+    stage.replace("identification.survey.JointMap", Joint)
+    stage.keep("identification.survey.judge")
+    found = st.survey("scene", "second", **options)
+    stage.seen["tiles"] = found.next_tiles
+
+
 # ------------------------------------------------------------------ validation
 
 
@@ -354,6 +378,25 @@ def call_write_comparison(stage: Stage, **options: Any) -> None:
 
     stage.replace("report.page.write_page", written)
     st.write_comparison(found, **{"page": "found.html"} | options)
+
+
+@calls
+def call_write_survey(stage: Stage, **options: Any) -> None:
+    found: Any = SimpleNamespace(
+        tables=lambda: ("scores", "judged"), pressures=pd.DataFrame, conclusions=list, notes=(),
+        verdict="by hand", trials=(), segments=(), clusters=(), states=3,
+        judgements=SimpleNamespace(points=()),
+    )  # fmt: skip
+    stage.keep("api.pages.check_kind")
+    stage.keep("api.pages._survey_cards", returned=[])
+    stage.keep("api.pages._survey_maps", returned=({}, {}))
+
+    def written(path: Path, title: str, subtitle: str, groups: Any, data: Any) -> None:
+        (shown,) = groups["Data"][-1].parts
+        stage.seen |= {"page": str(path), "command": shown.frame.loc["command"].iloc[0]}
+
+    stage.replace("report.page.write_page", written)
+    st.write_survey(found, **{"page": "found.html"} | options)
 
 
 @calls
@@ -607,6 +650,13 @@ CASES: dict[str, Cases] = {
         ),
         PROGRESS: (PROGRESS, {"comparing": (2, 2)}),
     },
+    "survey": {
+        "segment": ("2:5", {"part": "2:5"}),
+        "clusters": (2, {"clusters": 2, "tiles": ("ant_prox", "left_prox")}),
+        "keep_out": (["left_prox"], {"not for": [1, 3, 4, 6, 10]}),
+        "params": ("params.yaml", {"length": 0.05, "least force": 30.0}),
+        PROGRESS: (PROGRESS, {"surveying": (4, 4)}),
+    },
     "validate": {
         "segment": ("2:5", {"part": "2:5", "samples": 13}),
         "params": ("params.yaml", {"theta": 0.2, "least force": 30.0}),
@@ -656,6 +706,10 @@ CASES: dict[str, Cases] = {
         PROGRESS: (PROGRESS, {"fitting, judging, mapping": (1, 6)}),
     },
     "write_comparison": {
+        "page": ("other.html", {"page": "other.html"}),
+        "command": ("by hand", {"command": "by hand"}),
+    },
+    "write_survey": {
         "page": ("other.html", {"page": "other.html"}),
         "command": ("by hand", {"command": "by hand"}),
     },
@@ -813,6 +867,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "pressure": {"segment": "plateau", "threshold": 5.0, "share": 0.5},
     "cycles": {"by": "placed", "segment": "all"},
     "compare": {"segment": "plateau", "threshold": 5.0, "by_region": False},
+    "survey": {"segment": "plateau"},
     "validate": {"segment": "all"},
     "export": {"segment": "all", "force_map": False, "pressure": False},
     "write_report": {
@@ -825,6 +880,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "title": True,
     },
     "write_comparison": {"command": "socket_testbed.write_comparison"},
+    "write_survey": {"command": "socket_testbed.write_survey"},
     "view": {"port": 0, "host": "127.0.0.1"},
     "calibrate": {"drop_outliers": False},
     "tile": {"height": 0.08, "place": 0},
