@@ -27,6 +27,11 @@ a ratio estimate: the measured differences set the scale, and the model only say
 tile is than another (Cochran, Sampling Techniques, 1977, section 6.3). Its interval follows from
 leaving out one tile at a time (jackknife), with Student's t, and from a relative error of the
 model's word about the other tiles, `MODEL_ERROR`, measured on simulated limbs (docs/survey.md).
+
+The completed map is judged in the same way by each measured tile in turn, left out of all trials.
+With P the inverse covariance of all channels and k those of the tile, its residuals are
+:math:`P_{kk}^{-1} (P y)_k` and their covariance is :math:`P_{kk}^{-1}` (Rasmussen & Williams, 2006,
+section 5.4.2).
 """
 
 from __future__ import annotations
@@ -311,6 +316,30 @@ class JointMap:
             found += term.weight * term.scale[:, None] * covariance
         return found.reshape(len(self._values), -1, 3)
 
+    def left_out(self) -> FloatArray:
+        """How well each measured tile is predicted from all others, in every trial.
+
+        Returns:
+            For each of the t tiles of the survey the squared differences between its measured
+            forces and the map without them, and their expected squares, both summed over states,
+            trials and axes, shape (t, 2) [N^2].
+        """
+        sums = []
+        for tile in self._tiles:
+            own = np.flatnonzero(np.isin(self._rows, self._rows_of([tile])[_WRENCH:]))
+            if not len(own):
+                continue
+            mean, square, variance = np.zeros((3, len(self._values), len(own)))
+            for term in self._terms:
+                covariance = np.linalg.inv(term.precision[np.ix_(own, own)])
+                residuals = self._values @ term.precision[:, own] @ covariance
+                mean += term.weight * residuals
+                square += term.weight * residuals**2
+                variance += term.weight * term.scale[:, None] * np.diag(covariance)
+            expected = variance + np.maximum(square - mean**2, 0.0)
+            sums.append([(mean**2).sum(), expected.sum()])
+        return np.array(sums)
+
     def sensor_variances(self, tile: int) -> FloatArray:
         """Error variances of a cluster on one of the survey's tiles, shape (3,) [N^2]."""
         rows = self._rows_of([tile])[_WRENCH:]
@@ -494,7 +523,7 @@ class Judgements:
         error: Error of a trial's map on the tiles without one of its clusters, over the RMS of the
             forces there [-].
         completed: Error of a trial's completed map on the tiles that no trial measured, over the
-            RMS of the forces there: as stated by the map, times the same c [-].
+            RMS of the forces there [-]; judged by left-out tiles.
         explained: Share of the judged square that donning and sensors explain: the square of
             `repeated` over that of the judged error, or what the joint map expects [-].
         repeated: RMS difference between two donnings of what clusters left in place measure, over
@@ -549,7 +578,9 @@ def judge(
     return Judgements(
         points=points,
         error=_root(ratio, own[0] / own[1]),
-        completed=_root(ratio, of_own[0] / of_own[1] if of_own[1] else np.nan),
+        completed=_root(
+            _ratio(*joint.left_out().T), of_own[0] / of_own[1] if of_own[1] else np.nan
+        ),
         explained=explained,
         repeated=repeated,
         repeats=repeats,

@@ -151,6 +151,23 @@ def test_a_missing_channel_is_as_if_unmeasured() -> None:
     np.testing.assert_allclose(gaps.field(1).forces, less.field(1).forces, atol=1e-8)
 
 
+def test_a_left_out_tile_is_predicted_from_the_others() -> None:
+    """Tile 14 has a cluster in two trials, which are left out together."""
+    surveyed = trials()
+    joint = JointMap(GEOMETRY, surveyed, ONE, (0.3,))
+    squared, expected = joint.left_out()[sorted({t for p in PLACES for t in p}).index(14)]
+    dense = Dense(surveyed, 0.3)
+    own = np.array([6 + 9, 6 + 10, 6 + 11])
+    own = np.concatenate([own, 18 + own])
+    others = np.setdiff1d(np.arange(len(dense.H)), own)
+    total = dense.H @ dense.unknown @ dense.H.T + dense.R
+    gain = np.linalg.solve(total[np.ix_(others, others)], total[np.ix_(others, own)]).T
+    left = total[np.ix_(own, own)] - gain @ total[np.ix_(others, own)]
+    residuals = dense.y[:, own] - dense.y[:, others] @ gain.T
+    assert squared == pytest.approx((residuals**2).sum())
+    assert expected == pytest.approx(dense.posterior()[2].sum() * np.trace(left))
+
+
 def test_next_places_are_those_of_dense_conditioning() -> None:
     surveyed, change = trials(2), 0.3
     joint = JointMap(GEOMETRY, surveyed, ONE, (change,))
@@ -277,6 +294,13 @@ def test_judged_error_scales_with_what_was_measured() -> None:
         own += (single.deviations[:, bare] ** 2).sum()
         of_own += (joint.field(number).forces[:, bare] ** 2).sum()
     assert found.error.value == pytest.approx(np.sqrt(c2 * own / of_own))
+    left_out = joint.left_out().sum(axis=0)
+    bare = [tile for tile in range(TILES) if not any(tile in places for places in PLACES)]
+    fields = [joint.field(number) for number in range(3)]
+    shown = sum((field.forces[:, bare] ** 2).sum() for field in fields)
+    stated = sum((field.deviations[:, bare] ** 2).sum() for field in fields)
+    expected = np.sqrt(left_out[0] / left_out[1] * stated / shown)
+    assert found.completed.value == pytest.approx(expected)
 
 
 def test_clusters_that_never_moved_judge_nothing() -> None:
