@@ -202,8 +202,8 @@ def write_survey(
     Raises:
         ConfigurationError: The page does not end in `.html`, or cannot be written.
 
-    >>> found = st.survey("trials/hold", "trials/moved")
-    >>> st.write_survey(found, "survey.html")
+    >>> again = st.simulate("trials/again", duration=40, donning=2, geometry="moved.yaml")
+    >>> st.write_survey(st.survey("trials/hold", again), "survey.html")
     """
     # matplotlib is slow to import.
     from socket_testbed.report.page import Maps, Section, utc, write_page

@@ -406,9 +406,11 @@ def survey(
         IdentificationError: The trials share no like load, all clusters are in the same places, or
             the measured values of a trial have another unit.
 
-    >>> found = st.survey("trials/hold", "trials/moved")
+    >>> options = dict(duration=40, seed=3, donning=1, geometry="moved.yaml")
+    >>> moved = st.simulate("trials/moved", **options)
+    >>> found = st.survey("trials/hold", moved)
     >>> found
-    Survey(2 trials hold, moved; ... judged values, error ...)
+    Survey(2 trials hold, moved; 6 judged values, error ...)
     >>> found.verdict
     'on this limb a map of 4 clusters is within ... of the force between them; ...'
     >>> st.write_survey(found, "survey.html")
