@@ -15,6 +15,10 @@ and everything follows from it as in `force_map`: the evidence of each hypothesi
 epsilon on a grid, the forces of each donning, and their standard deviations. Sensors have errors of
 their own in each trial. A survey of one trial is the ordinary map.
 
+The limb is none of the hypotheses exactly, so that the evidence of many channels would soon leave
+one of them alone. It is therefore averaged over the trials, as it is over the states, to weigh the
+hypotheses; for epsilon under each of them it counts in full.
+
 A trial's map is judged by the forces that other trials measured elsewhere. Such a difference holds
 more than the map's error: the other sensor's error and, as far as the map follows its own donning,
 the change to the other one. It is also of a few tiles, as a rule far from the trial's clusters. The
@@ -67,6 +71,8 @@ MODEL_ERROR = 0.15
 """Standard deviation of the logarithm of e for errors of the expected E over V [-]."""
 _WRENCH = len(WRENCH_CHANNELS)
 _RIDGE = 1e-3  # [-]; variance of the wrench that donning may change, relative to the prior's
+_MIN_WEIGHT = 2e-3  # of a hypothesis with an epsilon, relative to the likeliest
+_MAX_PLANNED = 12  # likeliest ones, for which places are compared
 _QUANTILE = 0.975  # of the upper end of a 95 % interval
 
 
@@ -221,6 +227,7 @@ class JointMap:
         changes: Sequence[float] = CHANGES,
     ) -> None:
         self._geometry = geometry
+        self._count = len(trials)
         self._hypotheses = [*hypotheses(settings or ForceMapSettings())]
         self._tiles = sorted({tile for trial in trials for tile in trial.tiles})
         self._limbs = [_Limb(geometry, self._tiles, sizes) for sizes in self._hypotheses]
@@ -263,10 +270,10 @@ class JointMap:
             evidence.append(-0.5 * float((np.linalg.slogdet(total)[1] + misfit).mean()))
             scale = (freedom + distance) / max(freedom + channels - 2.0, 1.0)
             found.append(_Term(number, float(change), 1.0, precision, scale))
-        weights = probabilities(np.array(evidence)).tolist()
+        weights = _weights(np.reshape(evidence, (-1, len(self.changes))), self._count)
         return [
             replace(term, weight=weight)
-            for term, weight in zip(found, weights, strict=True)
+            for term, weight in zip(found, weights.ravel().tolist(), strict=True)
             if weight > 0.0
         ]
 
@@ -371,7 +378,8 @@ class JointMap:
         # of the two; the channels are the wrench and three per tile.
         states = []
         before = 0.0
-        for term in self._terms:
+        likeliest = sorted(self._terms, key=lambda term: -term.weight)[:_MAX_PLANNED]
+        for term in likeliest:
             limb = _Limb(self._geometry, everywhere, self._hypotheses[term.number])
             known = self._with_channels(term, None)
             of_tiles = (3 * np.array(self._tiles)[:, None] + np.arange(3)).ravel()
@@ -404,6 +412,22 @@ class JointMap:
                 after.append((share, onto - told.T @ channels[rows], left))
             states = after
         return np.array(chosen, dtype=int), float(np.sqrt(max(before - gained, 0.0) / before))
+
+
+def _weights(evidence: FloatArray, trials: int) -> FloatArray:
+    """Probabilities of hypotheses and epsilons, shape (M, E) [-]; 0 for unlikely ones.
+
+    Args:
+        evidence: Log evidence of each hypothesis with each epsilon, shape (M, E) [-].
+        trials: Number of trials.
+    """
+    highest = evidence.max(axis=1, keepdims=True)
+    of_change = np.exp(evidence - highest)
+    total = of_change.sum(axis=1, keepdims=True)
+    of_hypothesis = probabilities((highest + np.log(total)).ravel() / trials)
+    weights = of_hypothesis[:, None] * of_change / total
+    weights[weights < _MIN_WEIGHT * weights.max()] = 0.0
+    return np.asarray(weights / weights.sum())
 
 
 def _gains(onto: FloatArray, channels: FloatArray) -> FloatArray:

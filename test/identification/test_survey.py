@@ -141,6 +141,14 @@ def test_evidence_tells_how_much_donnings_change() -> None:
     assert JointMap(GEOMETRY, [first, Donned(first.tiles, changed)], settings).change > 0.2
 
 
+def test_weights_average_the_evidence_over_trials() -> None:
+    """Two trials: hypotheses by the root of 16 and 4, epsilons by 12 to 4 and 1 to 3."""
+    found = survey._weights(np.log([[12.0, 4.0], [1.0, 3.0]]), 2)
+    np.testing.assert_allclose(found, [[2 / 3 * 0.75, 2 / 3 * 0.25], [1 / 12, 0.25]])
+    unlikely = survey._weights(np.log([[1.0, 1e-3]]), 1)
+    np.testing.assert_array_equal(unlikely, [[1.0, 0.0]])
+
+
 def test_a_missing_channel_is_as_if_unmeasured() -> None:
     surveyed = trials(2)
     values = surveyed[1].values.copy()
