@@ -73,7 +73,7 @@ class Survey(Result):
         clusters: The tile under each cluster by its name, for each trial.
         states: Number S of like loads that all trials share.
         mismatch: RMS difference of these loads between trials, over the force [-].
-        change: What a donning changes over what the limb has, as estimated [-].
+        change: What a donning changes over the limb's forces, RMS over all tiles, as estimated [-].
         judgements: What the maps were judged by, and their errors.
         single: Each trial's own map, in the tiles' frames.
         completed: The map of each trial from all trials.

@@ -245,10 +245,24 @@ class JointMap:
         for term in self._terms:
             self.probabilities[self.changes == term.change] += term.weight
 
+    def changed_square(self, unit: bool = False) -> float:
+        """Mean square of what a donning changes, over tiles, axes and states [N^2].
+
+        Args:
+            unit: Whether epsilon is 1 instead of the estimated one.
+        """
+        return sum(
+            term.weight
+            * float(term.scale.mean())
+            * (1.0 if unit else term.change**2)
+            * float(self._limbs[term.number].changed_variances.mean())
+            for term in self._terms
+        )
+
     @property
     def change(self) -> float:
-        """What a donning changes over what the limb has: root mean square of epsilon [-]."""
-        return float(np.sqrt(self.probabilities @ self.changes**2))
+        """What a donning changes over the limb's forces, both RMS over all tiles [-]."""
+        return float(np.sqrt(self.changed_square() / np.mean(self.field().forces ** 2)))
 
     def _rows_of(self, tiles: Sequence[int]) -> IntArray:
         """Rows of the wrench and of the tiles' forces among the channels of `_Limb`."""
@@ -622,7 +636,10 @@ def _points(
     singles: Sequence[JointMap],
     fields: Sequence[Field],
 ) -> Iterable[JudgedPoint]:
-    followed = [2.0 * joint.change**2 * each.followed(0) for each in singles]
+    changed = joint.changed_square()
+    followed = [
+        2.0 * changed / each.changed_square(unit=True) * each.followed(0) for each in singles
+    ]
     rivals = [_rival(geometry, trial) for trial in trials]
     for mine, others in permutations(range(len(trials)), 2):
         field, other = fields[mine], trials[others]

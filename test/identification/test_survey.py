@@ -111,6 +111,9 @@ def test_fields_are_those_of_dense_conditioning(change: float) -> None:
         np.testing.assert_allclose(field.forces.reshape(5, -1), means @ pick.T, atol=1e-7)
         expected = scale[:, None] * np.diag(pick @ covariance @ pick.T)
         np.testing.assert_allclose(field.deviations.reshape(5, -1) ** 2, expected, atol=1e-6)
+    changed = scale.mean() * np.diag(dense.changed).mean()
+    assert joint.changed_square() == pytest.approx(changed)
+    assert joint.change == pytest.approx(np.sqrt(changed / np.mean(means[:, :size] ** 2)))
 
 
 def test_donnings_without_change_are_alike() -> None:
