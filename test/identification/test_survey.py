@@ -314,6 +314,29 @@ def test_judged_error_scales_with_what_was_measured() -> None:
     assert found.completed.value == pytest.approx(expected)
 
 
+def test_what_a_map_follows_of_its_donning_counts_twice() -> None:
+    """Its own change and, where clusters show it, the missing change to the other donning."""
+    surveyed, change = trials(2), 0.3
+    joint = JointMap(GEOMETRY, surveyed, ONE, (change,))
+    singles = [JointMap(GEOMETRY, [trial], ONE) for trial in surveyed]
+    found = survey.judge(GEOMETRY, surveyed, joint, singles)
+    (point,) = (each for each in found.points if (each.trial, each.tile) == (0, 7))
+    alone = Dense(surveyed[:1], 0.0)
+    gain = np.linalg.solve(alone.H @ alone.unknown @ alone.H.T + alone.R, alone.H @ alone.unknown)
+    size = 3 * TILES
+    both = Dense(surveyed, change)
+    followed = alone.H[:, :size] @ both.changed
+    rows = np.arange(21, 24)  # of tile 7
+    covariance = (gain.T[rows] * followed[:, rows].T).sum()
+    scale = both.posterior()[2].mean()
+    sensor = joint.sensor_variances(7).sum()
+    expected = 5 * (2.0 * scale * covariance + sensor)
+    assert point.expected - point.mapped == pytest.approx(expected)
+    column = 6 + 3  # tile 7 is the second cluster of the second trial
+    noise = np.diag(both.R)[18 + column : 18 + column + 3]
+    assert sensor == pytest.approx(scale * noise.sum())
+
+
 def test_clusters_that_never_moved_judge_nothing() -> None:
     one, two, _ = trials()
     still = [one, Donned(one.tiles, two.values)]
