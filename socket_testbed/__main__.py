@@ -41,6 +41,7 @@ _GROUPS = {
         "report": ("pages", "trials/s01 -o s01.html"),
         "pressure": ("results", "trials/s01 --segment hold -o s01.csv --figure s01.pdf"),
         "compare": ("pages", "trials/gel trials/sock --segment hold"),
+        "survey": ("pages", "trials/a trials/b trials/c -o survey.html"),
         "fit": ("results", "trials/s01 -o s01.json"),
         "evaluate": ("results", "trials/s02 --model s01.json"),
         "validate": ("results", "trials/s01 trials/s02"),

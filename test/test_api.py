@@ -34,6 +34,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("api")
     st.simulate(path / "trials" / "hold", duration=40, seed=3)
     st.simulate(path / "trials" / "walk", "multi_direction", duration=40, seed=4)
+    usual = packaged("config", "socket.yaml").read_text()
+    (path / "moved.yaml").write_text(usual.replace("distal: distal}", "distal: h065_a356}"))
     write_bench(path / "bench.csv", sensor_bench(play=0.04))
     meshes.write_stl(meshes.open_cone(0.05, 0.058, 0.08, 0.01), path / "scan.stl")
     bench = make_bench(np.random.default_rng(23))
@@ -150,6 +152,11 @@ FEW_VARIANTS = ("stiffness", "stiffness_bias")  # the others repeat what these s
 @pytest.fixture(scope="module")
 def results(folder: Path) -> dict[str, Result]:
     """A result of every kind, by the name of its class."""
+    moved = folder / "surveyed"
+    few = folder / "few.yaml"
+    few.write_text("estimator_node: {ros__parameters: {force_map: {draws: 4}}}\n")
+    places = folder / "moved.yaml"
+    st.simulate(moved, duration=40, seed=3, donning=1, geometry=places)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("socket_testbed.identification.validation.VARIANTS", FEW_VARIANTS)
         trial = st.open_trial(folder / "trials" / "hold", notify=lambda note: None)
@@ -163,6 +170,7 @@ def results(folder: Path) -> dict[str, Result]:
             st.cycles(trial, "Fz", by="placed:removed"),
             st.validate(trial),
             st.compare(trial, folder / "trials" / "walk", segment="15:17"),
+            st.survey(trial, moved, params=few),
             st.calibrate(folder / "bench.csv", "distal", wiring=(2, 3, 0, 1)),
             st.paper(trial, thetas=3, frames=40),
         ]
@@ -175,7 +183,7 @@ RESULTS = sorted(kind.__name__ for kind in Result.__subclasses__() if OWN in kin
 
 
 def test_there_is_a_result_of_every_kind(results) -> None:
-    assert sorted(results) == RESULTS and len(results) == 10
+    assert sorted(results) == RESULTS and len(results) == 11
 
 
 @pytest.mark.parametrize("name", RESULTS)

@@ -33,8 +33,9 @@ from socket_testbed.api.design import CalibratedCluster, calibrate, register, ti
 from socket_testbed.api.export import export
 from socket_testbed.api.imports import import_trial
 from socket_testbed.api.models import evaluate, fit, predict, read_model
-from socket_testbed.api.pages import view, write_comparison, write_report
+from socket_testbed.api.pages import view, write_comparison, write_report, write_survey
 from socket_testbed.api.pressure import force_map, pressure
+from socket_testbed.api.survey import Survey, survey
 from socket_testbed.api.tradeoff import PaperTable, Tradeoff, paper, pareto
 from socket_testbed.api.trials import annotate, check_data, open_trial, simulate
 from socket_testbed.api.validation import Validation, validate

@@ -1,4 +1,4 @@
-"""Web pages: the report of a trial, a comparison, and playback of a trial."""
+"""Web pages: the report of a trial, a comparison, a survey, and playback of a trial."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for, predictions
+from socket_testbed.api.survey import LEGEND as SURVEY_LEGEND
+from socket_testbed.api.survey import Survey
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
+from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.pages.document import moment, pressure_card, socket_document
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.identification import ReportChoices
@@ -47,6 +50,14 @@ _MAPS = (
     "Mean pressure on the unrolled wall and the distal end, on a common scale; the greyer, the less"
     " certain. Differences have their own scale, centred on zero, and are grey where the 95 %"
     " interval includes zero. Outlined: clusters."
+)
+
+
+_SURVEY_MAPS = (
+    "Normal pressure on the unrolled wall and the distal end, mean over the like loads, on a common"
+    " scale; the greyer, the less certain. Own: from the clusters of this trial alone; completed:"
+    " from those of all trials; limb: what all donnings share. Outlined: tiles that a trial"
+    " measured."
 )
 
 
@@ -176,6 +187,102 @@ def write_comparison(
     }
     title = f"Comparison of trials: {', '.join(found.items)}"
     write_page(path, title, found.title, groups, data | {"cards": _cards(found)})
+
+
+def write_survey(
+    found: Survey, page: PathLike, command: str = "socket_testbed.write_survey"
+) -> None:
+    """Write a survey as one page that opens offline; an existing one is replaced.
+
+    Args:
+        found: A result of `st.survey`.
+        page: The page, ending in `.html`.
+        command: The command that made the page, for the record.
+
+    Raises:
+        ConfigurationError: The page does not end in `.html`, or cannot be written.
+
+    >>> again = st.simulate("trials/again", duration=40, donning=2, geometry="moved.yaml")
+    >>> st.write_survey(st.survey("trials/hold", again), "survey.html")
+    """
+    # matplotlib is slow to import.
+    from socket_testbed.report.page import Maps, Section, utc, write_page
+
+    check_kind(found, Survey, "the survey", "give a result of st.survey")
+    path = path_of(page, "the page")
+    check_suffix(path, PAGES, "page")
+    origin = [("page made", utc(datetime.now(UTC))), ("command", command)]
+    scores, judged = found.tables()
+    pressures = Table("tiles", "Normal pressure", found.pressures())
+    used = [
+        (name, f"{segment}; {', '.join(f'{c} on {tile}' for c, tile in places.items())}")
+        for name, segment, places in zip(found.trials, found.segments, found.clusters, strict=True)
+    ]
+    data, titles = _survey_maps(found)
+    verdict = f"{found.verdict[0].upper()}{found.verdict[1:]}."
+    groups = {
+        "": [
+            Section("verdict", "Verdict", [verdict, found.conclusions()]),
+            *([Section("notes", "Notes", [found.notes])] if found.notes else []),
+            Section("maps", "Own and completed maps", [Maps(titles, _SURVEY_MAPS)]),
+            Section(
+                "judged", "Judged", [f"{SURVEY_LEGEND[0].upper()}{SURVEY_LEGEND[1:]}.", scores]
+            ),
+        ],
+        "Numbers": [
+            Section("places", "Judged places", [judged]),
+            Section("tiles", "Tile by tile", [pressures]),
+        ],
+        "Data": [
+            Section("trials", "Trials", [pairs_table("trials-table", "Parts and clusters", used)]),
+            Section(
+                "provenance",
+                "Provenance",
+                [pairs_table("provenance-table", "Provenance of the page", origin)],
+            ),
+        ],
+    }
+    title = f"Survey of one limb: {', '.join(found.trials)}"
+    subtitle = f"{found.states} like loads, {len(found.judgements.points)} judged places"
+    write_page(path, title, subtitle, groups, data | {"cards": _survey_cards(found)})
+
+
+def _survey_cards(found: Survey) -> list[dict[str, Any]]:
+    """The errors of a single and of the completed map, and what donning and sensors explain."""
+    judged = found.judgements
+    shown = []
+    for title, value, words in (
+        ("Map of one trial", judged.error, "error between its clusters, of the force there"),
+        ("Completed map", judged.completed, "error on tiles that no trial measured"),
+        ("Donning and sensors", judged.explained, "share of the judged square"),
+    ):
+        known = np.isfinite(value.low)
+        ends = f"{100.0 * value.low:.0f} to {100.0 * value.high:.0f} %" if known else ""
+        shown.append(
+            {
+                "title": title,
+                "value": f"{100.0 * value.value:.0f} %",
+                "interval": ends,
+                "words": words,
+            }
+        )
+    return shown
+
+
+def _survey_maps(found: Survey) -> tuple[dict[str, Any], dict[str, str]]:
+    """Maps of every trial alone and completed, and of the limb, on one scale, and their titles."""
+    table = found.pressures()
+    titles = [name.removesuffix(" [kPa]") for name in table if not name.endswith(" sd [kPa]")]
+    nothing = np.zeros(0)
+    maps: list[dict[str, Any]] = []
+    for number, title in enumerate(titles):
+        pressure = 1e3 * table[f"{title} [kPa]"].to_numpy()
+        reach = NORMAL_QUANTILE * 1e3 * table[f"{title} sd [kPa]"].to_numpy()
+        shown = moment(0.0, pressure, reach, nothing, nothing) | {"highest": "highest"}
+        maps.append({"box": f"map-{number}", "moment": shown, "range": None, "diverging": False})
+    scale = float(max(table[f"{title} [kPa]"].max() for title in titles))
+    data = {"socket": socket_document(found.surveyed, found.side), "maps": maps, "scale": scale}
+    return data, {f"map-{number}": title for number, title in enumerate(titles)}
 
 
 def _cards(found: Comparison) -> list[dict[str, Any]]:

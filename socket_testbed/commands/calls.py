@@ -7,12 +7,14 @@ imports no array library, so that `--help` and wrong calls stay quick.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, ParamSpec, TypeVar
 
 from socket_testbed.settings.options import (
+    DONNING,
+    DONNING_SHARE,
     CalibrationOptions,
     ComparisonOptions,
     EstimatorOptions,
@@ -31,7 +33,9 @@ from socket_testbed.settings.options import (
     RegistrationOptions,
     ReportOptions,
     Scenario,
+    SensorFiles,
     SimulationOptions,
+    SurveyOptions,
     TileOptions,
     TissueKind,
     TrialFiles,
@@ -168,6 +172,8 @@ class SimulatedOptions(Options, heading="for simulated hardware"):
         SimulationOptions.seed,
         "seed of the random numbers: of the limb, its load and all errors",
     )
+    donning: int | None = option(SimulationOptions.donning, DONNING, metavar="SEED")
+    donning_share: float = option(SimulationOptions.donning_share, DONNING_SHARE)
     fault: Iterable[str] = several(
         "switch on a fault, such as load_cell.flipped_bits=0.01; see docs/faults.md",
         metavar="NAME=VALUE",
@@ -435,6 +441,28 @@ class Compare(
 
 
 @dataclass(frozen=True, kw_only=True)
+class Survey(
+    SensorFiles,
+    SurveyOptions,
+    DrawOptions,
+    TableOptions,
+    summary="judge and complete the map of one limb by trials with moved clusters",
+):
+    """Options of `survey`."""
+
+    trial: list[Path] = argument(
+        "two or more trials of one limb in one socket; a folder of trials stands for all of them"
+    )
+    geometry: Sequence[Path] = several(
+        "a socket.yaml for each trial, in their order, instead of their own: where its clusters are"
+    )
+    output: Path | None = option(
+        None, "a page (.html), or a table (.csv, .parquet) of the judged values"
+    )
+    figure: Path | None = option(None, "draw each trial's own map and the completed one")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Fit(
     BatchOptions,
     FitOptions,
@@ -566,7 +594,7 @@ CALLS: dict[str, type[Options]] = {
     for call in (
         *(Demo, Tile, Calibrate, Register, Doctor),
         *(Run, Record, Mark, View, Simulate, Import),
-        *(Info, Annotate, Report, Pressure, Compare, Fit, Evaluate, Validate),
+        *(Info, Annotate, Report, Pressure, Compare, Survey, Fit, Evaluate, Validate),
         *(Replay, Export, Map, Pareto, Paper),
     )
 }

@@ -53,6 +53,7 @@ from socket_testbed.settings.testbed import (
     ReplaySettings,
     estimator_settings,
 )
+from socket_testbed.simulation.limb import check_donning
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag_parts import BAG_METADATA
@@ -75,7 +76,8 @@ def simulated(options: SimulatedOptions) -> tuple[Simulation | None, dict[str, f
             not asked for.
     """
     faults = dict(map(_fault, options.fault))
-    chosen = {name: getattr(options, name) for name in ("scenario", "period", "tissue", "seed")}
+    names = ("scenario", "period", "tissue", "seed", "donning", "donning_share")
+    chosen = {name: getattr(options, name) for name in names}
     if not options.simulated:
         usual = SimulatedOptions()
         other = {name: value for name, value in chosen.items() if value != getattr(usual, name)}
@@ -83,6 +85,7 @@ def simulated(options: SimulatedOptions) -> tuple[Simulation | None, dict[str, f
         return None, {}
     check_number(options.period, "--period", 5.0, 3600.0)
     check_number(options.seed, "--seed", 0)
+    check_donning(options.donning, options.donning_share)
     return Simulation(**chosen), faults
 
 

@@ -1,9 +1,10 @@
-"""`report`, `compare` and `view`: pages written or served."""
+"""`report`, `compare`, `survey` and `view`: pages written or served."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import textwrap
 import time
 from collections.abc import Iterable
 from contextlib import suppress
@@ -14,6 +15,7 @@ import pandas as pd
 
 from socket_testbed import api
 from socket_testbed.api.comparison import LEGEND, open_compared
+from socket_testbed.api.survey import LEGEND as SURVEY_LEGEND
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
 from socket_testbed.commands import calls
@@ -35,11 +37,15 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.results import error_columns
 from socket_testbed.commands.terminal import Progress, say, text_of
 from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.options import (
     ComparisonOptions,
     ReportOptions,
+    SensorFiles,
+    SurveyOptions,
+    TrialFiles,
     given,
 )
 from socket_testbed.settings.testbed import ViewSettings
@@ -52,6 +58,7 @@ if TYPE_CHECKING:
     from socket_testbed.results.report import Results  # slow: it imports matplotlib
 
 _BY_REGION = ("mean pressure", "peak pressure", "share of load")
+_MAX_PLACES = 8  # judged places on the terminal
 _INTERVAL = 0.2  # [s]; between checks of the time
 
 
@@ -147,6 +154,60 @@ def _show_comparison(found: api.Comparison) -> None:
 
 def _print(title: str, cells: pd.DataFrame) -> None:
     print(f"\n{title}\n\n{text_of(Table('', '', cells))}")
+
+
+@takes(calls.Survey)
+def survey(call: calls.Survey) -> None:
+    """Judge and complete the map of one limb by trials with moved clusters."""
+    output = call.output
+    page = output if output and output.suffix.lower() in PAGES else None
+    check_files(output, call.figure, replace=call.replace, table=page is None)
+    trials = _surveyed(call)
+    for each in trials:
+        report_data(each)
+    found = api.survey(*trials, **given(call, SurveyOptions), progress=Progress)
+    if page is not None:
+        api.write_survey(found, page, typed_command())
+    written = given(call, deliver) | {"output": None if page else output}
+    deliver(found, _show_survey, **written)
+    if page is not None and not call.json:
+        print(f"\nwritten: {page}")
+
+
+def _surveyed(call: calls.Survey) -> list[Trial]:
+    """The trials of a survey, each with its own socket or the one given for it."""
+    files = given(call, SensorFiles)
+    trials = open_all(call.trial, TrialFiles(**files))
+    sockets = [*call.geometry]
+    if not sockets:
+        return trials
+    if len(sockets) != len(trials):
+        raise ConfigurationError(
+            f"--geometry names {len(sockets)} sockets for {len(trials)} trials",
+            "give one for each trial, in their order",
+        )
+    return [
+        each
+        for trial, socket in zip(trials, sockets, strict=True)
+        for each in open_all([trial.path], TrialFiles(**files, geometry=socket))
+    ]
+
+
+def _show_survey(found: api.Survey) -> None:
+    print(f"{found.verdict}\n")
+    for line in found.conclusions():
+        print(f"- {line}")
+    for note in found.notes:
+        print(f"note: {note}")
+    scores, judged = found.tables()
+    farthest = judged.frame.sort_values("difference [N]", ascending=False, kind="stable")
+    places = dataclasses.replace(judged, frame=farthest.head(_MAX_PLACES))
+    for caption, table in (
+        (scores.caption, scores),
+        ("places where maps are farthest off", places),
+    ):
+        print(f"\n{caption}\n\n{text_of(table)}")
+    print(f"\n{textwrap.fill(SURVEY_LEGEND, 100)}")
 
 
 @takes(calls.View)

@@ -38,11 +38,14 @@ def simulate(call: calls.Simulate) -> None:
     """Write a simulated trial with its ground truth."""
     trial = api.simulate(call.output, **given(call, SimulationOptions), progress=Progress)
     geometry = trial.geometry
+    donned = ""
+    if call.donning is not None:
+        donned = f", donning {call.donning} (differs by {100 * call.donning_share:g} %)"
     print(
         f"{call.output}: {call.scenario}, {call.tissue} tissue,"
         f" {len(read_truth(trial.path).wrench)} triggers at {call.rate:g} Hz,"
         f" {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
-        f" seed {call.seed}; truth in {call.output / TRUTH_FILE}"
+        f" seed {call.seed}{donned}; truth in {call.output / TRUTH_FILE}"
     )
 
 

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
-_AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
+AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
 _EVIDENCE_MEMORY = 1000  # live samples over which the evidence is averaged
 _EVIDENCE_POWER = 0.6  # [-]; the prior's laws are no limb's: trust the evidence less than fully
 _TILE_SHARE_SPREAD = 0.03  # [-]; of the load, about the share of the wall that the tiles cover
@@ -171,7 +171,7 @@ class _Conditioned:
         hypotheses, tiles = self.variances.shape[:2]
         forces = measured @ self.gain.reshape(hypotheses * tiles * 4, channels).T
         forces = forces.reshape(count, hypotheses, tiles * 4)
-        freedom = _AMPLITUDE_FREEDOM
+        freedom = AMPLITUDE_FREEDOM
         scales = freedom + self.distance(measured)
         scales *= weights / max(freedom + channels - 2.0, 1.0)
         mean = weights @ forces
@@ -192,7 +192,7 @@ class _Conditioned:
 
         Given the amplitude's prior, the channels have a multivariate t distribution.
         """
-        freedom = _AMPLITUDE_FREEDOM
+        freedom = AMPLITUDE_FREEDOM
         exponent = freedom + len(self.present)
         distance = np.log1p(self.distance(measured) / freedom)
         return np.asarray(-0.5 * (self.log_determinant + exponent * distance))
@@ -324,7 +324,7 @@ class ForceMap:
             found = conditioned.log_evidence(values[:, conditioned.present])[0]
             self._evidence_count = min(self._evidence_count + 1, _EVIDENCE_MEMORY)
             self._evidence += (found - self._evidence) / self._evidence_count
-        return self._estimate(values, present, _probabilities(self._evidence))
+        return self._estimate(values, present, probabilities(self._evidence))
 
     def _mean_evidence(self, samples: Samples) -> FloatArray:
         """Log evidence of the hypotheses, averaged over the samples, shape (M,) [-]."""
@@ -341,7 +341,7 @@ class ForceMap:
     def _weights(self, samples: Samples) -> FloatArray:
         """Probabilities of the hypotheses, shape (M,) [-]; 0 for unlikely ones."""
         known = self._evidence_count
-        return _probabilities(self._evidence if known else self._mean_evidence(samples))
+        return probabilities(self._evidence if known else self._mean_evidence(samples))
 
     def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
         """The map from channels (N, 6 + 3c) [N m, N] and the hypotheses' probabilities (M,) [-].
@@ -442,7 +442,7 @@ class ForceMap:
                 "nij,mnid->mnjd", self._geometry.rotations, conditioned.gain[:, :, :3]
             ).reshape(len(kept), 3 * tiles, -1)
             known = gain[hypotheses] @ errors[:, conditioned.present, None]
-            freedom = _AMPLITUDE_FREEDOM + len(conditioned.present)
+            freedom = AMPLITUDE_FREEDOM + len(conditioned.present)
             left = (priors - known[..., 0]) / np.sqrt(chdtri(freedom, levels[1]))[:, None]
             for start in range(0, len(rows), _DRAW_BATCH):
                 some = rows[start : start + _DRAW_BATCH]
@@ -452,7 +452,7 @@ class ForceMap:
                     channels=measured,
                     gain=gain,
                     weights=weights,
-                    sizes=np.sqrt(_AMPLITUDE_FREEDOM + conditioned.distance(measured)),
+                    sizes=np.sqrt(AMPLITUDE_FREEDOM + conditioned.distance(measured)),
                     hypotheses=hypotheses,
                     errors=left,
                 )
@@ -691,7 +691,7 @@ def _normal_points(count: int, dimensions: int) -> FloatArray:
     return np.asarray(ndtri((0.5 + np.arange(count)[:, None] * steps) % 1.0))
 
 
-def _probabilities(log_evidence: FloatArray) -> FloatArray:
+def probabilities(log_evidence: FloatArray) -> FloatArray:
     """Probabilities of the hypotheses from their evidence, shape (M,) [-]; 0 for unlikely ones."""
     weights = np.exp(_EVIDENCE_POWER * (log_evidence - log_evidence.max()))
     weights[weights < _MIN_WEIGHT] = 0.0

@@ -14,12 +14,14 @@ from typing import Any, get_args
 
 import numpy as np
 from scipy.optimize import root
+from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import TestbedError
+from socket_testbed.documents import check_number, check_whole
+from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import GRAVITY
-from socket_testbed.settings.options import Scenario, TissueKind
+from socket_testbed.settings.options import Scenario, SimulationOptions, TissueKind
 
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
 TISSUES: tuple[TissueKind, ...] = get_args(TissueKind)
@@ -39,6 +41,10 @@ _MAX_TWIST = 1.5  # [N m]; of the hands about the axis
 _HAND_PERIODS = np.array([11.0, 23.0, 7.3, 17.0, 9.1, 13.0])  # [s]
 _GRID = 3  # points along the edge of a tile
 _GAP_AREA = 0.25  # [-]; area between the tiles, relative to that of the tiles
+# Standard deviations of a donning's differences at a share of 1, see `draw_donning`.
+_SHIFT = 0.025  # [m]
+_TURN = 0.4  # [rad]
+_SEATING_ARM = 0.054  # [m]; the mean radius of the package's socket
 _LENGTH = 0.1  # [m]; scales rotations to lengths for the solver
 _FORCE_TOLERANCE = 1e-4  # [N]; imbalance accepted without a retry
 _MAX_IMBALANCE = 0.05  # [N]; above it the socket does not hold the limb
@@ -153,6 +159,71 @@ class Tissue:
     creep_time: float
 
 
+@dataclass(frozen=True)
+class Donning:
+    """How a donning of a limb differs from the nominal one.
+
+    Attributes:
+        shift: Displacement of the limb's tissue in the socket, in {S}, shape (3,) [m].
+        turn: Rotation vector of the tissue about the mean of the tiles' centres, in {S}, shape (3,)
+            [rad].
+        preload: Change of the mean compression by donning, relative to it [-].
+        seating: Shear that is left at each point of the surface as the limb slid into place,
+            relative to what friction can hold there: a rigid motion in {S}, translation and
+            rotation vector, whose tangential part it is, shape (6,) [-, 1/m].
+    """
+
+    shift: FloatArray
+    turn: FloatArray
+    preload: float
+    seating: FloatArray
+
+
+def check_donning(donning: object, share: object) -> int | None:
+    """Seed of a donning, or None for the nominal one.
+
+    Args:
+        donning: The seed as a user gave it; None for the nominal donning.
+        share: How much the donning differs, as a user gave it [-].
+
+    Raises:
+        ConfigurationError: The seed is no whole number from 0, the share is not within 0 to 1, or a
+            share is given without a seed.
+    """
+    check_number(share, "--donning-share", 0.0, 1.0)
+    if donning is not None:
+        return check_whole(donning, "--donning")
+    if share != SimulationOptions.donning_share:
+        raise ConfigurationError(
+            f"--donning-share is {share}, but no donning is given",
+            "add --donning SEED: the nominal donning does not vary",
+        )
+    return None
+
+
+def draw_donning(share: float, rng: np.random.Generator) -> Donning:
+    """A random donning, whose differences have the standard deviations below.
+
+    At a share of 10 %, the default, the tissue is shifted by 2.5 mm and turned by 2.3 degrees about
+    each axis, the mean compression changes by 10 % (0.2 mm in soft tissue, 0.08 mm in stiff), and
+    seating leaves a tenth of the shear that friction can hold, along each axis and by a twist about
+    each. All are proportional to the share.
+
+    Args:
+        share: About the standard deviation of a tile's force between donnings, relative to the
+            root mean square over the tiles [-]; docs/survey.md reports the measured one.
+        rng: Random numbers of the donning.
+    """
+    shift, turn, push, twist = rng.normal(0.0, 1.0, (4, 3))
+    seating = np.concatenate([push, twist / _SEATING_ARM])
+    return Donning(
+        shift=share * _SHIFT * shift,
+        turn=share * _TURN * turn,
+        preload=share * float(rng.normal()),
+        seating=share * seating,
+    )
+
+
 # By kind: modulus and shear modulus [Pa/m], their variation over the surface [-], stiffening, and
 # mean and spread of the fit [m] (see `Tissue`).
 _KINDS: dict[TissueKind, tuple[float, ...]] = {
@@ -162,7 +233,10 @@ _KINDS: dict[TissueKind, tuple[float, ...]] = {
 
 
 def make_tissue(
-    geometry: SocketGeometry, rng: np.random.Generator, kind: TissueKind = "soft"
+    geometry: SocketGeometry,
+    rng: np.random.Generator,
+    kind: TissueKind = "soft",
+    donning: Donning | None = None,
 ) -> Tissue:
     """Tissue whose properties vary smoothly over a socket's surface.
 
@@ -194,6 +268,7 @@ def make_tissue(
         geometry: The socket, with n tiles and e pairs of neighbours: 9 n + e surface points.
         rng: Random numbers of the variation over the surface.
         kind: `soft` or `stiff`.
+        donning: How the limb was put on; None for the nominal donning.
     """
     modulus, shear_modulus, spread, stiffening, fit, fit_spread = _KINDS[kind]
     edges = np.sqrt(geometry.areas)
@@ -210,7 +285,13 @@ def make_tissue(
     gap_area = _GAP_AREA * geometry.areas.sum() / max(len(a), 1)
 
     points = np.vstack([on_tiles.reshape(-1, 3), between])
-    variation = np.exp(spread * _smooth_field(points, rng))
+    of_limb, preload = points, 1.0
+    if donning is not None:
+        centre = geometry.anchors.mean(axis=0)
+        turned = (points - centre) @ Rotation.from_rotvec(donning.turn).as_matrix()
+        of_limb = centre + turned - donning.shift
+        preload = 1.0 + donning.preload
+    variation = np.exp(spread * _smooth_field(of_limb, rng))
     return Tissue(
         points=points,
         normals=np.vstack([np.repeat(normals, _GRID**2, axis=0), between_normals]),
@@ -221,7 +302,7 @@ def make_tissue(
         stiffening=stiffening,
         shear_modulus=shear_modulus * variation,
         friction=0.5,
-        fit=fit + fit_spread * _smooth_field(points, rng),
+        fit=fit * preload + fit_spread * _smooth_field(of_limb, rng),
         creep=0.18,
         creep_time=35.0,
     )
@@ -245,6 +326,7 @@ class LoadedLimb:
             quarters of it are applied in steps.
         rng: Random numbers of the tissue.
         kind: Kind of the tissue, see `make_tissue`.
+        donning: How the limb was put on; None for the nominal donning.
 
     Attributes:
         tissue: The tissue.
@@ -259,8 +341,9 @@ class LoadedLimb:
         load: FloatArray,
         rng: np.random.Generator,
         kind: TissueKind = "soft",
+        donning: Donning | None = None,
     ) -> None:
-        self.tissue = tissue = make_tissue(geometry, rng, kind)
+        self.tissue = tissue = make_tissue(geometry, rng, kind, donning)
         self._tiles = len(geometry)
         self._centre = geometry.anchors.mean(axis=0)  # centre of rotation of the bone
         self._axes = _axes(tissue.normals)
@@ -271,6 +354,9 @@ class LoadedLimb:
         self._displacement = np.zeros(6)  # of the centre [m], and rotation vector [rad]
         self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
         self._traction = np.zeros((2, len(tissue.points)))
+        if donning is not None:
+            held = tissue.friction * tissue.modulus * np.maximum(tissue.fit, 0.0)
+            self._traction = held * (self._jacobian @ donning.seating).reshape(3, -1)[1:]
         self._tangential = np.zeros((2, len(tissue.points)))
         for share in (0.25, 0.5, 0.75):  # donning: apply the first load in steps
             self.step(share * load, 1.0)

@@ -27,7 +27,7 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.settings.options import Scenario, SimulationOptions, TissueKind
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
-from socket_testbed.simulation.limb import LoadedLimb, load_history
+from socket_testbed.simulation.limb import LoadedLimb, draw_donning, load_history
 from socket_testbed.simulation.trial import random_streams
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.truth import GroundTruth, save_truth
@@ -52,6 +52,9 @@ class Simulation:
         time_scale: Testbed seconds per real second, 0.01 to 1 [-].
         tissue: Kind of the limb's tissue, see `make_tissue`.
         noise: Noise of the load cell, relative to that of `SensorErrors` [-].
+        donning: Seed of another donning of the same limb, with load, sensors and errors of its own;
+            None for the nominal one.
+        donning_share: How much such a donning differs, see `draw_donning` [-].
     """
 
     scenario: Scenario = SimulationOptions.scenario
@@ -62,6 +65,8 @@ class Simulation:
     time_scale: float = 1.0
     tissue: TissueKind = SimulationOptions.tissue
     noise: float = 1.0
+    donning: int | None = SimulationOptions.donning
+    donning_share: float = SimulationOptions.donning_share
 
     def __post_init__(self) -> None:
         check_number(self.time_scale, "the time scale", 0.01, 1.0)
@@ -90,7 +95,8 @@ class LiveTestbed:
         remembers: bool = True,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
-        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _ = random_streams(simulation.seed)
+        streams = random_streams(simulation.seed, simulation.donning)
+        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _, donning_rng = streams
         self._world = world
         world.capacitance_noise[:] = errors.capacitance_noise
         world.wrench_noise[:] = simulation.noise * errors.wrench_noise(1.0)
@@ -99,7 +105,10 @@ class LiveTestbed:
         self._loads = load_history(simulation.scenario, simulation.pace * self._times, load_rng)
         self._sway = simulation.sway
         self._remembers = remembers
-        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, simulation.tissue)
+        donned = None
+        if simulation.donning is not None:
+            donned = draw_donning(simulation.donning_share, donning_rng)
+        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, simulation.tissue, donned)
         self._offset = sensors.wrench_offset(errors, cell_rng)
         self._sensors = {
             name: sensors.ClusterSensor(calibration.clusters[name], errors, cluster_rng)

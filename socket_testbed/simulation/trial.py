@@ -29,10 +29,10 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings, MocapSettings, averaging_span
-from socket_testbed.settings.options import Scenario, TissueKind
+from socket_testbed.settings.options import Scenario, SimulationOptions, TissueKind
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import sensors
-from socket_testbed.simulation.limb import LoadedLimb, load_history
+from socket_testbed.simulation.limb import LoadedLimb, draw_donning, load_history
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.trial import read_configuration, store_configuration
 from socket_testbed.trials.truth import TRUTH_FILE, GroundTruth, save_truth
@@ -81,12 +81,20 @@ class SimulatedTrial:
     truth: GroundTruth
 
 
-def random_streams(seed: int) -> tuple[np.random.Generator, ...]:
-    """Separate streams for tissue, load, load cell, clusters, markers and vibration.
+def random_streams(seed: int, donning: int | None = None) -> tuple[np.random.Generator, ...]:
+    """Separate streams for tissue, load, load cell, clusters, markers, vibration and donning.
 
-    The size of one error does not affect the other parts.
+    The size of one error does not affect the other parts. Another donning of a limb has the same
+    tissue, and other random numbers for everything else.
+
+    Args:
+        seed: Seed of the limb and, without a donning, of everything else.
+        donning: Seed of a donning; None for the nominal one.
     """
-    return tuple(np.random.default_rng(seed).spawn(6))
+    streams = np.random.default_rng(seed).spawn(7)
+    if donning is None:
+        return tuple(streams)
+    return streams[0], *np.random.default_rng([seed, donning]).spawn(6)
 
 
 def simulate(
@@ -100,6 +108,8 @@ def simulate(
     progress: Callable[[int, int], None] = lambda done, total: None,
     tissue: TissueKind = "soft",
     mocap_window: float = MocapSettings.window,
+    donning: int | None = None,
+    donning_share: float = SimulationOptions.donning_share,
 ) -> SimulatedTrial:
     """Simulate a trial with the lab's geometry and calibration.
 
@@ -116,14 +126,19 @@ def simulate(
         tissue: Kind of the limb's tissue, see `make_tissue`.
         mocap_window: Span of the frames averaged around a trigger [s]; negative for the trigger's
             period, 0.25 s at most; 0 for a single frame.
+        donning: Seed of another donning of the same limb, with load, sensors and errors of its own;
+            None for the nominal one.
+        donning_share: How much such a donning differs, see `draw_donning` [-].
     """
     calibration.require(geometry.clusters, "the socket")
     errors = errors or sensors.SensorErrors()
-    tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, shake_rng = random_streams(seed)
+    streams = random_streams(seed, donning)
+    tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, shake_rng, donning_rng = streams
     count = max(2, round(duration * rate))
     time = np.arange(count) / rate
     load = load_history(scenario, time, load_rng)
-    limb = LoadedLimb(geometry, load[0], tissue_rng, tissue)
+    donned = None if donning is None else draw_donning(donning_share, donning_rng)
+    limb = LoadedLimb(geometry, load[0], tissue_rng, tissue, donned)
     forces = np.zeros((count, len(geometry), 3))
     position, rotation = np.zeros((2, count, 3))
     for k, wrench in enumerate(load):

@@ -93,8 +93,8 @@ def call_simulate(stage: Stage, **options: Any) -> None:
         stage.replace(f"api.trials.read_{kind}", lambda path, kind=kind: f"{kind} {path.name}")
     places = ("socket", "calibration", "scenario", "duration", "rate", "seed", "errors")
 
-    def simulated(*given: Any, progress: Any, tissue: str) -> str:
-        stage.seen |= dict(zip(places, given, strict=True)) | {"tissue": tissue}
+    def simulated(*given: Any, progress: Any, **named: Any) -> str:
+        stage.seen |= dict(zip(places, given, strict=True)) | named
         progress(1, 2)
         return "simulated"
 
@@ -264,6 +264,30 @@ def call_compare(stage: Stage, **options: Any) -> None:
     stage.seen["tiles"] = found.geometry is not None
 
 
+@calls
+def call_survey(stage: Stage, **options: Any) -> None:
+    stage.watch_trials()
+    shutil.copytree("scene", "second", dirs_exist_ok=True)
+
+    class Joint:
+        change = 0.1
+
+        def __init__(self, geometry: Any, donned: Any, settings: Any) -> None:
+            stage.seen |= {"length": settings.length, "loads": len(donned[0].values)}
+
+        def field(self, trial: int | None = None) -> None:
+            return None
+
+        def place_next(self, count: int, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+            stage.seen |= {"clusters": count, "not for": np.flatnonzero(~allowed).tolist()}
+            return np.arange(count), 0.9
+
+    stage.replace("identification.survey.JointMap", Joint)
+    stage.keep("identification.survey.judge")
+    found = st.survey("scene", "second", **options)
+    stage.seen["tiles"] = found.next_tiles
+
+
 # ------------------------------------------------------------------ validation
 
 
@@ -355,6 +379,25 @@ def call_write_comparison(stage: Stage, **options: Any) -> None:
 
     stage.replace("report.page.write_page", written)
     st.write_comparison(found, **{"page": "found.html"} | options)
+
+
+@calls
+def call_write_survey(stage: Stage, **options: Any) -> None:
+    found: Any = SimpleNamespace(
+        tables=lambda: ("scores", "judged"), pressures=pd.DataFrame, conclusions=list, notes=(),
+        verdict="by hand", trials=(), segments=(), clusters=(), states=3,
+        judgements=SimpleNamespace(points=()),
+    )  # fmt: skip
+    stage.keep("api.pages.check_kind")
+    stage.keep("api.pages._survey_cards", returned=[])
+    stage.keep("api.pages._survey_maps", returned=({}, {}))
+
+    def written(path: Path, title: str, subtitle: str, groups: Any, data: Any) -> None:
+        (shown,) = groups["Data"][-1].parts
+        stage.seen |= {"page": str(path), "command": shown.frame.loc["command"].iloc[0]}
+
+    stage.replace("report.page.write_page", written)
+    st.write_survey(found, **{"page": "found.html"} | options)
 
 
 @calls
@@ -517,6 +560,8 @@ CASES: dict[str, Cases] = {
         "duration": (30.0, {"duration": 30.0}),
         "rate": (8.0, {"rate": 8.0}),
         "seed": (5, {"seed": 5}),
+        "donning": (3, {"donning": 3}),
+        "donning_share": (0.2, {"donning_share": 0.2}, {"donning": 3}),
         "like_paper": (
             True,
             {"calibration": "calibration like_paper.yaml", "errors": LIKE_PAPER}
@@ -609,6 +654,13 @@ CASES: dict[str, Cases] = {
         ),
         PROGRESS: (PROGRESS, {"comparing": (2, 2)}),
     },
+    "survey": {
+        "segment": ("2:5", {"part": "2:5"}),
+        "clusters": (2, {"clusters": 2, "tiles": ("ant_prox", "left_prox")}),
+        "keep_out": (["left_prox"], {"not for": [1, 3, 4, 6, 10]}),
+        "params": ("params.yaml", {"length": 0.05, "least force": 30.0}),
+        PROGRESS: (PROGRESS, {"surveying": (4, 4)}),
+    },
     "validate": {
         "segment": ("2:5", {"part": "2:5", "samples": 13}),
         "params": ("params.yaml", {"theta": 0.2, "least force": 30.0}),
@@ -658,6 +710,10 @@ CASES: dict[str, Cases] = {
         PROGRESS: (PROGRESS, {"fitting, judging, mapping": (1, 6)}),
     },
     "write_comparison": {
+        "page": ("other.html", {"page": "other.html"}),
+        "command": ("by hand", {"command": "by hand"}),
+    },
+    "write_survey": {
         "page": ("other.html", {"page": "other.html"}),
         "command": ("by hand", {"command": "by hand"}),
     },
@@ -804,6 +860,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "duration": 120.0,
         "rate": 4.0,
         "seed": 0,
+        "donning_share": 0.1,
         "replace": False,
     },
     "fit": {"segment": "plateau"},
@@ -815,6 +872,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "pressure": {"segment": "plateau", "threshold": 5.0, "share": 0.5},
     "cycles": {"by": "placed", "segment": "all"},
     "compare": {"segment": "plateau", "threshold": 5.0, "by_region": False},
+    "survey": {"segment": "plateau"},
     "validate": {"segment": "all"},
     "export": {"segment": "all", "force_map": False, "pressure": False},
     "write_report": {
@@ -827,6 +885,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "title": True,
     },
     "write_comparison": {"command": "socket_testbed.write_comparison"},
+    "write_survey": {"command": "socket_testbed.write_survey"},
     "view": {"port": 0, "host": "127.0.0.1"},
     "calibrate": {"drop_outliers": False},
     "tile": {"height": 0.08, "place": 0},

@@ -278,6 +278,12 @@ SIMULATED: Cases = {
     "period": ("--period 60", {"simulated period": 60.0}),
     "tissue": ("--tissue stiff", {"simulated tissue": "stiff"}),
     "seed": ("--seed 5", {"simulated seed": 5}),
+    "donning": ("--donning 3", {"simulated donning": 3}),
+    "donning_share": (
+        "--donning-share 0.2",
+        {"simulated donning_share": 0.2},
+        {"donning": "--donning 3"},
+    ),
     "fault": (
         "--fault mocap.drop=0.5 --fault limb.out=2",
         {"mocap.drop": 0.5, "limb.out": 2.0},
@@ -488,7 +494,8 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "calibrate": {"limit": 10.0},
     "compare": {"segment": "plateau", "threshold": 5.0},
     "demo": {"output": Path("demo"), "seed": 0},
-    "doctor": {"scenario": "static_hold", "period": 120.0, "tissue": "soft", "seed": 0},
+    "doctor": {"scenario": "static_hold", "period": 120.0, "tissue": "soft", "seed": 0}
+    | {"donning_share": 0.1},
     "evaluate": {"segment": "plateau"},
     "export": {"segment": "all"},
     "fit": {"segment": "plateau"},
@@ -505,6 +512,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "period": 120.0,
         "tissue": "soft",
         "seed": 0,
+        "donning_share": 0.1,
     },
     "simulate": {
         "scenario": "static_hold",
@@ -512,6 +520,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
         "duration": 120.0,
         "rate": 4.0,
         "seed": 0,
+        "donning_share": 0.1,
     },
     "tile": {"height": 80.0, "size": 30.0, "flatness": 8.0, "rounds": 300, "seed": 0, "place": 0},
     "validate": {"segment": "all"},

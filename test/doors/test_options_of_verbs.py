@@ -170,16 +170,19 @@ def prepare_result(stage: Stage, verb: str) -> None:
         stage.replace("commands.results._bring_to_cycles", brought)
 
 
-@prepares("compare")
-def prepare_compare(stage: Stage, verb: str) -> None:
+WRITES = {"compare": "write_comparison", "survey": "write_survey"}  # pages
+
+
+@prepares("compare", "survey")
+def prepare_compared(stage: Stage, verb: str) -> None:
     checked(stage)
-    stand_in(stage, "compare")
+    stand_in(stage, verb)
     stage.patch.setattr(
-        api, "write_comparison",
+        api, WRITES[verb],
         lambda found, page, command: stage.seen.update({"page": str(page), "command": command}),
     )  # fmt: skip
     stage.replace("commands.pages.typed_command", lambda: "as typed")
-    show(stage, "commands.pages._show_comparison")
+    show(stage, f"commands.pages._show_{WRITES[verb].removeprefix('write_')}")
 
 
 # ------------------------------------------------------------------ trials
@@ -246,6 +249,7 @@ LEAST: dict[str, dict[str, str]] = {
     "paper": {"trial": "scene"},
     "map": {"trial": "scene", "output": "-o new.csv"},
     "compare": {"trial": "scene second"},
+    "survey": {"trial": "scene second"},
     "simulate": {"output": "-o new"},
     "annotate": {"trial": "scene"},
     "export": {"trial": "scene", "output": "-o new.csv"},
@@ -418,6 +422,18 @@ CASES: dict[str, Cases] = {
             {"trials": "nothing", "trials gel": ["scene"], "trials sock": ["second"]},
         ),
     },
+    "survey": {
+        "trial": ("second scene", {"trials": ["second", "scene"]}),
+        **but(SOURCES, "geometry"),
+        "geometry": ("--geometry socket.yaml socket.yaml", {"socket": "socket.yaml"}),
+        **JSON,
+        **REPLACE,
+        **OUTPUT,
+        **FIGURE,
+        **only(SETTINGS, "segment", "params"),
+        "clusters": ("--clusters 2", {"clusters": 2}),
+        "keep_out": ("--keep-out distal middle", {"keep_out": ["distal", "middle"]}),
+    },
     "simulate": {
         "output": ("-o b", {"path": "b"}),
         "scenario": ("--scenario ramp", {"scenario": "ramp"}),
@@ -426,6 +442,8 @@ CASES: dict[str, Cases] = {
         "duration": ("--duration 30", {"duration": 30.0}),
         "rate": ("--rate 8", {"rate": 8.0}),
         "seed": ("--seed 5", {"seed": 5}),
+        "donning": ("--donning 3", {"donning": 3}),
+        "donning_share": ("--donning-share 0.2", {"donning_share": 0.2}),
         "geometry": ("--geometry socket.yaml", {"geometry": "socket.yaml"}),
         "calibration": ("--calibration calibration.yaml", {"calibration": "calibration.yaml"}),
         "replace": ("--replace", {"replace": True}),

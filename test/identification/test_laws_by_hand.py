@@ -347,7 +347,7 @@ def test_correlation_falls_with_distance() -> None:
 
 def test_unlikely_hypotheses_do_not_count() -> None:
     """Of evidence to the power 0.6, less than 1 / 500 of the likeliest."""
-    found = force_map._probabilities(3.0 + np.log([1.0, 0.5, 3.2e-5, 3.1e-5]))
+    found = force_map.probabilities(3.0 + np.log([1.0, 0.5, 3.2e-5, 3.1e-5]))
     assert found == pytest.approx(np.array([1.0, 0.6597540, 0.0020094, 0.0]) / 1.6617634, rel=1e-4)
 
 

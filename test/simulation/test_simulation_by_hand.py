@@ -18,8 +18,15 @@ from socket_testbed.errors import TestbedError as SimulationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation import testbed as live
-from socket_testbed.simulation.limb import LoadedLimb, load_history, make_tissue
+from socket_testbed.simulation.limb import (
+    Donning,
+    LoadedLimb,
+    draw_donning,
+    load_history,
+    make_tissue,
+)
 from socket_testbed.simulation.sensors import ClusterSensor, MarkerBodies, SensorErrors
+from socket_testbed.simulation.trial import random_streams
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.truth import (
     TRUTH_FILE,
@@ -176,6 +183,64 @@ def test_a_kind_of_tissue_has_its_stiffness(kind: Any, phase: float) -> None:
     np.testing.assert_allclose(1e3 * tissue.fit, fit, rtol=1e-6)
     assert 1e3 * tissue.stiffening == pytest.approx(growth)
     assert (tissue.friction, tissue.creep, tissue.creep_time) == (0.5, 0.18, 35.0)
+
+
+def test_a_donning_changes_compression_and_place() -> None:
+    """Ten percent more of 2 mm; a point sees the tissue that was 5 mm below it."""
+    geometry, seed = scene.geometry(), 3
+    donned = Donning(np.array([0.0, 0.0, 5e-3]), np.zeros(3), 0.1, np.zeros(6))
+    moved = dataclasses.replace(geometry, anchors=geometry.anchors - [0.0, 0.0, 5e-3])
+    found = make_tissue(geometry, np.random.default_rng(seed), "soft", donned)
+    below = make_tissue(moved, np.random.default_rng(seed), "soft")
+    np.testing.assert_allclose(found.modulus, below.modulus)
+    np.testing.assert_allclose(found.fit, below.fit + 2e-4)
+    np.testing.assert_allclose(found.points[:, 2], below.points[:, 2] + 5e-3)
+
+
+def test_a_turned_donning_turns_the_tissue() -> None:
+    """By a quarter turn to the left: what was at the front is at the left."""
+    geometry, seed = scene.geometry(), 3
+    turn = np.array([0.0, 0.0, 0.5 * np.pi])
+    donned = Donning(np.zeros(3), turn, 0.0, np.zeros(6))
+    found = make_tissue(geometry, np.random.default_rng(seed), "soft", donned)
+    before = make_tissue(geometry, np.random.default_rng(seed), "soft")
+    centre = geometry.anchors.mean(axis=0)
+    compared = 0
+    for point, modulus in zip(before.points, before.modulus, strict=True):
+        x, y, z = point - centre
+        apart = np.linalg.norm(found.points - centre - [-y, x, z], axis=1)
+        if apart.min() < 1e-9:
+            assert found.modulus[apart.argmin()] == pytest.approx(modulus)
+            compared += 1
+    assert compared > 20
+
+
+def test_a_donning_varies_with_its_share() -> None:
+    """At a tenth: 2.5 mm, 0.04 rad, 10 %, a tenth of what friction holds; at 54 mm for a twist."""
+    found = draw_donning(0.1, fixed(normal=1.0))
+    np.testing.assert_allclose(found.shift, 2.5e-3)
+    np.testing.assert_allclose(found.turn, 0.04)
+    assert found.preload == pytest.approx(0.1)
+    np.testing.assert_allclose(found.seating, [0.1, 0.1, 0.1, *[0.1 / 0.054] * 3])
+
+
+@pytest.mark.parametrize(("along", "left"), [(0.5, 750.0), (0.0, 0.0)])
+def test_seating_leaves_shear(along: float, left: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On upright tile `ant_prox`: 0.5 along z of 0.5 * 1.5 MPa/m * 2 mm, which friction holds."""
+    monkeypatch.setattr(LoadedLimb, "step", lambda self, load, duration: None)
+    seating = np.array([0.0, 0.0, along, 0.0, 0.0, 0.0])
+    donned = Donning(np.zeros(3), np.zeros(3), 0.0, seating)
+    limb = LoadedLimb(scene.geometry(), np.zeros(6), fixed(uniform=0.25), "soft", donned)
+    np.testing.assert_allclose(np.hypot(*limb._traction)[:9], left)
+
+
+def test_a_donning_keeps_the_limb_of_its_seed() -> None:
+    """Tissue of the seed alone; everything else differs between donnings."""
+    plain, first, second = (
+        [stream.normal() for stream in random_streams(4, donning)] for donning in (None, 1, 2)
+    )
+    assert plain[0] == first[0] == second[0]
+    assert len({*plain[1:], *first[1:], *second[1:]}) == 18
 
 
 @pytest.fixture(scope="module")
@@ -449,7 +514,7 @@ def test_another_process_reads_the_world(world: World, tmp_path: Path) -> None:
 class StillLimb:
     """Stands for a limb that does not move: 9 N press outwards on `ant_mid`."""
 
-    def __init__(self, geometry: Any, load: Any, rng: Any, kind: Any) -> None:
+    def __init__(self, geometry: Any, load: Any, rng: Any, kind: Any, donning: Any) -> None:
         self.position, self.rotation = np.array([0.0, 0.0, 0.1]), np.zeros(3)
         self.steps: list[tuple[float, float]] = []
 
