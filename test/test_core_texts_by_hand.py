@@ -433,12 +433,13 @@ def test_a_missing_cluster_has_this_line() -> None:
 def test_a_socket_s_file_explains_its_entries(tmp_path: Path) -> None:
     path = tmp_path / "socket.yaml"
     write_socket(SOCKET, path)
-    assert path.read_text().splitlines()[:9] == [
+    assert path.read_text().splitlines()[:10] == [
         "# Geometry of the socket in the frame of the load cell, {S}. Lengths in m, areas in m^2.",
         "# frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal"
         " of the",
         "# surface, x the tangent towards the proximal end, y = z x x.",
         "# source: origin of the tiles; scan: its unit [m] and the pose of its frame in {S}.",
+        "# tile_share: share of the inner wall's area that the tiles cover.",
         "# clusters: the tile under each; turned: from the tile's x to the cluster's, about z"
         " [deg].",
         "# regions: your own, each a list of tiles; they may overlap.",

@@ -13,7 +13,13 @@ from support.verbs import program
 
 from socket_testbed import __version__, clocks
 from socket_testbed.__main__ import VERBS
-from socket_testbed.identification import data_check, plausibility, pressure, problem
+from socket_testbed.identification import (
+    data_check,
+    force_map,
+    plausibility,
+    pressure,
+    problem,
+)
 from socket_testbed.live.sources import check_sources
 from socket_testbed.nodes import estimator_node, recorder_node
 from socket_testbed.settings.identification import ForceMapSettings
@@ -155,14 +161,19 @@ NUMBERS = {
         f"above {1e-3 * pressure.THRESHOLD:g} kPa (`--threshold`)",
         f"from {pressure._DRAWS} joint draws",
         f"widened by {pressure._PEAK_WIDENING:g}",
-        f"carry {ForceMapSettings.share:.0%} +- {ForceMapSettings.share_spread:.0%} of the",
+        f"+- {force_map._TILE_SHARE_SPREAD:.0%}, or {ForceMapSettings.share:.0%} +-"
+        f" {ForceMapSettings.share_spread:.0%} if the file",
     ),
     "segments": (
         f"rises above {events._RISE_SHARE:.0%} of the way",
         f"falls below {events._FALL_SHARE:.0%}.",
         f"above {events._STANCE_SHARE:.0%} of the way",
     ),
-    "force_map": (f"draws {ForceMapSettings.draws} hypotheses",),
+    "force_map": (
+        f"draws {ForceMapSettings.draws} hypotheses",
+        f"evidence to the power {force_map._EVIDENCE_POWER:g}",
+        f"+- {force_map._TILE_SHARE_SPREAD:g} (`tile_share`",
+    ),
 }
 
 
