@@ -355,6 +355,7 @@ class SurveyOptions(Options):
         None,
         "number of clusters of the next trial, for which places are proposed (default: as many as"
         " in the last one)",
+        metavar="N",
     )
     keep_out: Sequence[str] = several(
         "regions and tiles excluded from proposals, such as anterior proximal"
