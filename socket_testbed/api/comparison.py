@@ -469,11 +469,13 @@ def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bo
         rows.append(outputs | _wrench_rows(each))
 
     def is_shared(part: str, name: str) -> bool:
+        if part == "tiles" and one_socket:  # another tile may be called like a cluster that moved
+            return len({each.trial.geometry.names.index(name) for each in found}) == 1
         # Two trials' regions of one name may consist of different tiles.
         own = part == "regions" and one_socket and not name.startswith(mirrored)
         return not own or len({each.get(name) for each in tiles}) == 1
 
-    keys = [key for key in rows[0] if is_shared(*key[:2]) and all(key in row for row in rows)]
+    keys = [key for key in rows[0] if all(key in row for row in rows) and is_shared(*key[:2])]
     return [{key: row[key] for key in keys} for row in rows]
 
 

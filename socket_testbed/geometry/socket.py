@@ -133,10 +133,16 @@ class SocketGeometry:
     def same_tiles(self, other: SocketGeometry) -> bool:
         """Whether another geometry has the same tiles in the same places.
 
-        Names must be equal, anchors within 0.1 mm per coordinate, frames within 1e-3 per entry.
+        Anchors must be within 0.1 mm per coordinate, frames within 1e-3 per entry. Names must be
+        equal, except for tiles that are called like a cluster, as `tile` calls them.
         """
+        clusters = self.clusters.keys() | other.clusters.keys()
         return (
-            self.names == other.names
+            len(self) == len(other)
+            and all(
+                own == name or own in clusters or name in clusters
+                for own, name in zip(self.names, other.names, strict=True)
+            )
             and np.allclose(self.anchors, other.anchors, rtol=0.0, atol=_SAME_PLACE)
             and np.allclose(self.rotations, other.rotations, rtol=0.0, atol=1e-3)
         )

@@ -8,6 +8,7 @@ interval of +-1.96 sqrt(2 - 1.4) = +-1.518 kPa. Differences are those of the sec
 import io
 import json
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from support.results_by_hand import tile
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.api.comparison import Comparison
+from socket_testbed.geometry.socket import write_socket
 from socket_testbed.trials.trial import Trial
 
 VALUE = ("value", "low", "high")
@@ -54,6 +56,26 @@ def page(found: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Page:
 @pytest.fixture(scope="module")
 def data(page: Page) -> dict[str, Any]:
     return json.loads(page.script("page-data"))
+
+
+def test_tiles_of_one_name_elsewhere_are_not_compared(
+    trial: Trial, second_folder: Path, tmp_path: Path
+) -> None:
+    """A tile is called like the cluster on it, and the cluster moved from tile 10 to tile 0."""
+    geometry = scene.geometry()
+    compared = []
+    for number, tile_under in enumerate((10, 0)):
+        names = [*geometry.names]
+        names[tile_under] = "distal"
+        clusters = geometry.clusters | {"distal": tile_under}
+        path = tmp_path / f"{number}.yaml"
+        write_socket(replace(geometry, names=tuple(names), clusters=clusters), path)
+        folder = (trial.path, second_folder)[number]
+        compared.append(st.open_trial(folder, geometry=path))
+    table = st.compare(*compared, segment="all").to_dataframe()
+    tiles = {*table.loc[table["part"] == "tiles", "name"]}
+    assert "distal" not in tiles and "post_end" not in tiles
+    assert len(tiles) == 10
 
 
 def row_of(found: Comparison, part: str, name: str, quantity: str, item: str) -> pd.Series:

@@ -414,6 +414,11 @@ SAME = {
     "turned a little": (lambda g: replace(g, rotations=g.rotations + 0.9e-3), True),
     "turned": (lambda g: replace(g, rotations=g.rotations + 1.1e-3), False),
     "other names": (lambda g: replace(g, names=g.names[::-1]), False),
+    "a tile less": (lambda g: replace(g, names=g.names[:-1]), False),
+    "a tile called like its cluster": (
+        lambda g: replace(g, names=("cluster_1", *g.names[1:]), clusters={"cluster_1": 0}),
+        True,
+    ),
     "other areas": (lambda g: replace(g, areas=2.0 * g.areas), True),
 }
 
