@@ -210,18 +210,24 @@ class StreamedSource:
         Returns:
             Stamps of triggers [ns], in order, and the values there; None if nothing arrived yet.
         """
-        found: list[tuple[int, Aligned | None]] = []
         if self._buffer is not None:
             self._buffer.settings = self.settings
+        over: list[int] = []
         while self._pending and self._is_over(self._pending[0], now, period, wait):
-            stamp = self._pending.popleft()
-            value = self._buffer.at(stamp, period) if self._buffer is not None else None
+            over.append(self._pending.popleft())
+        if not over:
+            return []
+        if self._buffer is None:
+            values: list[Aligned | None] = [None] * len(over)
+        else:
+            aligned = self._buffer.at(np.array(over), period)  # at once, which costs less
+            values = [aligned.part(row) for row in range(len(over))]
+        for value in values:
             if value is None or value.status.any():
                 self.missing += 1
                 self._lacked = now
-            self.last = value
-            found.append((stamp, value))
-        return found
+        self.last = values[-1]
+        return [*zip(over, values, strict=True)]
 
     def _is_over(self, stamp: int, now: int, period: float, wait: float) -> bool:
         """Whether no later reading counts for a trigger."""
