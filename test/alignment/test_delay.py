@@ -52,7 +52,7 @@ def clusters(late: float = 0.0) -> ClusterSeries:
     return ClusterSeries(stamps(time + late), ("a", "b"), values)
 
 
-SHIFTED = {
+SHIFTED: dict[str, tuple[WrenchSeries, PoseSeries | ClusterSeries, float]] = {
     "pose late": (wrench(), pose(late=0.02), 0.02),
     "load late": (wrench(late=0.02), pose(), -0.02),
     "clusters late": (wrench(), clusters(late=0.02), 0.02),
@@ -79,7 +79,7 @@ def test_a_moving_socket_is_taken_away() -> None:
     turn = np.column_stack([0.0 * time, 0.0 * time, 0.3 * np.sin(3.0 * time)])
     socket = Pose(Rotation.from_rotvec(turn).as_matrix(), swing)
     limb = socket @ Pose.from_vector(np.hstack([own.positions, own.quaternions]))
-    seen = [PoseSeries(own.times, *np.split(p.vector, [3], axis=1)) for p in (socket, limb)]
+    seen = [PoseSeries(own.times, p.vector[:, :3], p.vector[:, 3:]) for p in (socket, limb)]
     found = find_delay(wrench(), seen[1], seen[0])
     assert found.delay == pytest.approx(0.02, abs=0.003)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from support import CHECKOUT
 from support.foreign import header, pose_fields, pushes, vector, wrench_fields, write_bag
 from support.verbs import call
 from support.verbs import refused as refused_verb
@@ -30,7 +31,7 @@ def ramp(row: int) -> np.ndarray:
     return np.array([1.0, 2.0, 3.0, 10.0, 20.0, -100.0 - row])
 
 
-def place(row: int) -> np.ndarray:
+def place(row: float) -> np.ndarray:
     """A pose that moves by 1 mm in 10 ms."""
     return np.array([0.001 * row, 0.2, 0.3, 0.0, 0.0, 0.6, 0.8])
 
@@ -324,7 +325,7 @@ def test_a_load_that_pulls_is_doubted(tmp_path: Path, up: bool, doubted: bool) -
 
 
 TWO = {FT: stamped_wrench(), "/ft/filtered": stamped_wrench()}
-REFUSED = {
+REFUSED: dict[str, tuple[Any, ...]] = {
     "two wrenches": (TWO, {}, TrialError, ("/ft/filtered, /ft/wrench", "--wrench TOPIC")),
     "whose pose": (
         {FT: stamped_wrench(), "/body_1": stamped_pose()},
@@ -431,6 +432,31 @@ def test_what_cannot_be_imported_is_refused(tmp_path: Path, case: str) -> None:
     with refused(kind, *words):
         opened(tmp_path, content, **options)
     assert not (tmp_path / "trial").exists()
+
+
+def test_the_page_s_mapping_is_read(tmp_path: Path) -> None:
+    """The mapping of docs/foreign-data.md, on a bag of its topics."""
+    page = (CHECKOUT / "docs" / "foreign-data.md").read_text()
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text(page.partition("```yaml\n")[2].partition("```")[0].replace("0:3", "0:0.2"))
+
+    def body(name: str, row: int) -> dict[str, Any]:
+        stamped = {"header": header(START + row * STEP, "world"), "child_frame_id": name}
+        return stamped | {"transform": transform(row)}
+
+    both = sent(lambda row: {"transforms": [body("socket", row), body("pylon", row)]}, None)
+    content = {
+        "/ft_sensor/wrench": stamped_wrench(late=0.004),
+        "/tf": ("tf2_msgs/msg/TFMessage", both),
+        "/clusters_uc": numbers(),
+    }
+    trial, _ = opened(tmp_path, content, mapping=mapping)
+    measured = trial.measurements()
+    # Fz of the limb is minus that of the socket less its tare, -110 N: 40 N at 0.5 s.
+    row = int(np.argmin(np.abs(measured.stamps - START - 50 * STEP)))
+    moved = (measured.stamps[row] - START) / STEP
+    np.testing.assert_allclose(measured.wrench[row, 5], moved - 10.0, atol=0.01)
+    np.testing.assert_allclose(measured.pylon[row, :3], place(moved)[:3], atol=1e-6)
 
 
 def test_the_verb_makes_the_same_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
