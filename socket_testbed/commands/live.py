@@ -166,7 +166,7 @@ def doctor(call: calls.Doctor) -> None:
 
 def _foreign_findings(testbed: bringup.Testbed) -> list[Outcome]:
     """Judge the sources of other drivers, by listening to them for some seconds."""
-    check_sources(testbed.settings.align_node)
+    check_sources(testbed.settings.align_node, full_namespace(testbed.namespace))
     require_ros()
     from socket_testbed.nodes.foreign_topics import hear_sources  # needs ROS
 
