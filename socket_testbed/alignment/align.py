@@ -8,7 +8,7 @@ read, by the same function.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeAlias
 
 import numpy as np
@@ -55,6 +55,10 @@ class Aligned:
     age: FloatArray
     spread: FloatArray
     deviation: FloatArray
+
+    def part(self, row: int) -> Aligned:
+        """The values at one trigger, given its row, with N = 1."""
+        return Aligned(*(getattr(self, own.name)[row : row + 1] for own in fields(self)))
 
 
 def align(
@@ -411,14 +415,15 @@ class SourceBuffer:
         """
         return bool(self._number) and self.newest > self._end(trigger, period)
 
-    def at(self, trigger: int, period: float) -> Aligned:
-        """The value at a trigger from the readings so far, as `align` gives it for N = 1.
+    def at(self, triggers: int | IntArray, period: float) -> Aligned:
+        """The values at triggers from the readings so far, as `align` gives them.
 
         Args:
-            trigger: Time of the trigger on the source's clock [ns].
+            triggers: Time of a trigger, or of several, ascending, shape (N,), on the source's
+                clock [ns].
             period: Period of the trigger [s].
         """
-        return align(self.series, np.array([trigger]), self.settings, period)
+        return align(self.series, np.atleast_1d(triggers), self.settings, period)
 
 
 def _columns(series: Series) -> list[FloatArray]:

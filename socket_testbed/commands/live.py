@@ -41,7 +41,7 @@ from socket_testbed.live.doctor import (
 from socket_testbed.live.hardware import find_user
 from socket_testbed.live.processes import Graph, GraphNode, require_ros
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
-from socket_testbed.live.sources import absent_topics, check_sources
+from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
 from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.options import (
     EstimatorOptions,
@@ -51,7 +51,9 @@ from socket_testbed.settings.options import (
 from socket_testbed.settings.testbed import (
     RecorderSettings,
     ReplaySettings,
+    TestbedSettings,
     estimator_settings,
+    read_testbed,
 )
 from socket_testbed.simulation.limb import check_donning
 from socket_testbed.simulation.testbed import Simulation
@@ -167,7 +169,7 @@ def doctor(call: calls.Doctor) -> None:
 
 def _foreign_findings(testbed: bringup.Testbed) -> list[Outcome]:
     """Judge the sources of other drivers, by listening to them for some seconds."""
-    check_sources(testbed.settings.align_node)
+    check_sources(testbed.settings.align_node, full_namespace(testbed.namespace))
     require_ros()
     from socket_testbed.nodes.foreign_topics import hear_sources  # needs ROS
 
@@ -375,7 +377,14 @@ def record(call: calls.Record) -> None:
     stored = {"geometry": geometry, "calibration": calibration, "parameters": call.params}
     files: dict[str, Any] = {name: str(path.resolve()) for name, path in stored.items() if path}
     stated = check_metadata(call)
-    settings = RecorderSettings(directory=str(directory.resolve()), record=True, **files)
+    used = TestbedSettings() if call.params is None else read_testbed(call.params)
+    settings = RecorderSettings(
+        directory=str(directory.resolve()),
+        record=True,
+        beside=foreign_topics(used.align_node, used.trigger_node.topic),
+        absent=tuple(topic.name for topic in absent_topics(used.align_node)),
+        **files,
+    )
     disk = directory.resolve().parent
     with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
         if stated.stated():

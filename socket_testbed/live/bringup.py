@@ -31,7 +31,12 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip, require_free
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
+from socket_testbed.live.sources import (
+    absent_topics,
+    check_sources,
+    foreign_topics,
+    refuse_own_topic,
+)
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.settings.fields import Settings
@@ -125,7 +130,10 @@ class Testbed:
             ConfigurationError: If they do not fit together, or name an unknown chip or server.
         """
         cluster_node, own = self.settings.cluster_node, self.settings.own_nodes
-        check_sources(self.settings.align_node)
+        namespace = full_namespace(self.namespace)
+        check_sources(self.settings.align_node, namespace)
+        if topic := self.settings.trigger_node.topic:
+            refuse_own_topic(topic, "trigger_node: topic", namespace)
         if "cluster_node" in own:
             clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         if "load_cell_node" in own:

@@ -210,18 +210,24 @@ class StreamedSource:
         Returns:
             Stamps of triggers [ns], in order, and the values there; None if nothing arrived yet.
         """
-        found: list[tuple[int, Aligned | None]] = []
         if self._buffer is not None:
             self._buffer.settings = self.settings
+        over: list[int] = []
         while self._pending and self._is_over(self._pending[0], now, period, wait):
-            stamp = self._pending.popleft()
-            value = self._buffer.at(stamp, period) if self._buffer is not None else None
+            over.append(self._pending.popleft())
+        if not over:
+            return []
+        if self._buffer is None:
+            values: list[Aligned | None] = [None] * len(over)
+        else:
+            aligned = self._buffer.at(np.array(over), period)  # at once, which costs less
+            values = [aligned.part(row) for row in range(len(over))]
+        for value in values:
             if value is None or value.status.any():
                 self.missing += 1
                 self._lacked = now
-            self.last = value
-            found.append((stamp, value))
-        return found
+        self.last = values[-1]
+        return [*zip(over, values, strict=True)]
 
     def _is_over(self, stamp: int, now: int, period: float, wait: float) -> bool:
         """Whether no later reading counts for a trigger."""
@@ -477,13 +483,35 @@ def as_capacitances(
     return found
 
 
-def check_sources(settings: AlignSettings) -> None:
+def refuse_own_topic(topic: str, where: str, namespace: str) -> None:
+    """Refuse a topic of another program that is called like one of the testbed's.
+
+    Args:
+        topic: Its name, absolute or relative to the namespace.
+        where: The setting that names it, such as `trigger_node: topic`.
+        namespace: Absolute namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the testbed publishes a topic of that name.
+    """
+    if topics.full_name(topic, namespace) in {
+        topics.full_name(own.name, namespace) for own in topics.TOPICS
+    }:
+        fact = f"{where} is {topic}, which the testbed publishes itself"
+        raise ConfigurationError(fact, "give the other program's topic another name")
+
+
+def check_sources(settings: AlignSettings, namespace: str = "/") -> None:
     """Check that the sources of other drivers fit together, before anything starts.
+
+    Args:
+        settings: The sources.
+        namespace: Absolute namespace of the testbed.
 
     Raises:
         ConfigurationError: One pose alone is that of another driver, a transform is no
-            `tf:PARENT/CHILD` or is no pose, two sources have one topic, or the pose of the wrench's
-            frame is wrong.
+            `tf:PARENT/CHILD` or is no pose, two sources have one topic, a topic is one that the
+            testbed publishes, or the pose of the wrench's frame is wrong.
     """
     wrench_mapping(settings.wrench)
     poses = settings.socket_pose.topic, settings.pylon_pose.topic
@@ -505,6 +533,8 @@ def check_sources(settings: AlignSettings) -> None:
         elif not _TOPIC.fullmatch(own.topic):
             fact = f"align_node: {name}.topic is '{own.topic}', which is no name of a topic"
             raise ConfigurationError(fact, "give one such as /ft_sensor/wrench")
+        else:
+            refuse_own_topic(own.topic, f"align_node: {name}.topic", namespace)
         if (other := named.setdefault(own.topic.strip("/"), name)) != name:
             fact = f"align_node: {other}.topic and {name}.topic are both {own.topic}"
             raise ConfigurationError(fact, "give each source a topic of its own")

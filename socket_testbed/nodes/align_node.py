@@ -41,7 +41,7 @@ from socket_testbed.wire.messages import (
 )
 from socket_testbed.wire.topics import CAPACITANCE, LOAD_CELL_RAW, POSES, TRIGGER, WRENCH, Topic
 
-_POLL_PERIOD = 0.01  # [s]; of looks at what has arrived
+_POLL_PERIOD = 0.02  # [s]; of looks at what has arrived, each of which costs a millisecond
 _LOOK_PERIOD = 0.5  # [s]; of looks for publishers
 _INTERVALS = 25  # of the trigger, whose median is its period
 _SETTLING_TIME = 5.0  # [s]; for the drivers to answer; then the testbed starts without them

@@ -18,11 +18,11 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.doctor import HeardSource
-from socket_testbed.live.sources import StreamedSource
+from socket_testbed.live.sources import StreamedSource, refuse_own_topic
 from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
-from socket_testbed.wire.topics import TOPICS, full_name
+from socket_testbed.wire.topics import full_name
 
 _LISTEN_PERIOD = 0.05  # [s]
 _DEPTH = 2000  # [messages]; of a busy moment
@@ -150,11 +150,7 @@ def foreign_topic(node: Node, source: foreign.Source, topic: str, namespace: str
     if topic.startswith(foreign.TRANSFORM):
         return ForeignTopic(node, "/tf", (foreign.TRANSFORMS,))
     name = full_name(topic, namespace)
-    if name in {full_name(own.name, namespace) for own in TOPICS}:
-        raise ConfigurationError(
-            f"align_node: {source}.topic is {topic}, which the testbed publishes itself",
-            "give the other driver's topic another name",
-        )
+    refuse_own_topic(topic, f"align_node: {source}.topic", namespace)
     return ForeignTopic(node, name, foreign.KINDS[source])
 
 

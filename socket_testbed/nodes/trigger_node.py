@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.gpio import LinesError, Trigger
-from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import (
     ERROR,
@@ -36,7 +36,7 @@ from socket_testbed.nodes.base import (
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import READY_TIMEOUT, TriggerSettings
 from socket_testbed.wire.messages import trigger_packer
-from socket_testbed.wire.topics import CLOCK, TOPICS, TRIGGER, Service, full_name
+from socket_testbed.wire.topics import CLOCK, TRIGGER, Service, full_name
 
 if TYPE_CHECKING:
     from socket_testbed.live.sources import TriggerStream
@@ -163,13 +163,11 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         """
         if self.settings.source != "topic":
             return None
-        from socket_testbed.live.sources import TriggerStream  # memory that others need not
+        # Memory that others need not:
+        from socket_testbed.live.sources import TriggerStream, refuse_own_topic
 
         topic = self.settings.topic
-        name = full_name(topic, self.get_namespace())
-        if name in {full_name(own.name, self.get_namespace()) for own in TOPICS}:
-            fact = f"trigger_node: topic is {topic}, which the testbed publishes itself"
-            raise ConfigurationError(fact, "give the other program's topic another name")
+        refuse_own_topic(topic, "trigger_node: topic", self.get_namespace())
         return TriggerStream(topic)
 
     def _follow_topic(self, stream: TriggerStream) -> None:

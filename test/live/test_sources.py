@@ -405,6 +405,10 @@ WRONG: dict[str, tuple[Fields, str]] = {
         {"wrench": LiveWrenchSettings(topic="/ft sensor")},
         "align_node: wrench.topic is '/ft sensor', which is no name of a topic: give one such",
     ),
+    "our own": (
+        {"wrench": LiveWrenchSettings(topic="load_cell/wrench")},
+        "align_node: wrench.topic is load_cell/wrench, which the testbed publishes itself: give",
+    ),
     "no rotation": (
         {"wrench": LiveWrenchSettings(topic="/ft", rotation=(1.0,) * 9)},
         "align_node: wrench: rotation is not a right-handed orthonormal frame",
@@ -421,6 +425,13 @@ def test_sources_that_do_not_fit_are_refused(case: str) -> None:
     given, words = WRONG[case]
     with refused(ConfigurationError, words):
         check_sources(AlignSettings(**given))
+
+
+def test_a_topic_of_another_namespace_is_a_source() -> None:
+    settings = AlignSettings(wrench=LiveWrenchSettings(topic="/right/load_cell/wrench"))
+    check_sources(settings, "/left")
+    with refused(ConfigurationError, "which the testbed publishes itself"):
+        check_sources(settings, "/right")
 
 
 def test_topics_to_record_are_those_of_other_drivers() -> None:
