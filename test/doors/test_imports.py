@@ -306,6 +306,33 @@ def test_stresses_come_back(tmp_path: Path) -> None:
     assert any("stored as the capacitances" in note for note in notes)
 
 
+@pytest.mark.parametrize(
+    ("status", "is_lacking"),
+    [
+        pytest.param(0, False, id="ok"),
+        pytest.param(1, True, id="saturated"),
+        pytest.param(2, True, id="missing"),
+        pytest.param(3, False, id="out of range"),
+    ],
+)
+def test_a_stress_counts_by_its_status(tmp_path: Path, status: int, is_lacking: bool) -> None:
+    """A stress of 5 kPa stands in each message, whatever its status."""
+    cluster = {"name": "distal", "normal": 5e3, "shear_x": 0.0, "shear_y": 0.0, "status": status}
+    other = {"name": "brim_lateral", "normal": 2e4, "shear_x": 0.0, "shear_y": 0.0, "status": 0}
+    content = (
+        "socket_testbed_msgs/msg/ClusterStressArray",
+        sent(lambda row: {"clusters": [other, cluster]}),
+    )
+    trial, _ = opened(tmp_path, {FT: stamped_wrench(), CLUSTERS: content})
+    samples = trial.samples()
+    normal = {
+        name: trial.geometry.cluster_stress(name, samples.local_forces[2, column])[0]
+        for column, name in enumerate(samples.clusters)
+    }
+    assert normal["brim_lateral"] == pytest.approx(2e4, rel=1e-6)
+    assert normal["distal"] == pytest.approx(NAN if is_lacking else 5e3, rel=1e-6, nan_ok=True)
+
+
 def test_triggers_of_a_topic(tmp_path: Path) -> None:
     camera = [
         (START, {"header": header(START + at * 1_000_000, "camera")}) for at in (103, 555, 901)
