@@ -15,6 +15,7 @@ from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSer
 from socket_testbed.alignment.source_clock import source_clock
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import TrialError, closest, listed, option_of
+from socket_testbed.samples import Status
 from socket_testbed.settings.alignment import NONE
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.wire import cdr, topics
@@ -426,10 +427,12 @@ def _capacitances(
 def _stresses(
     name: str, records: cdr.Record, sample: Any, clusters: Sequence[str]
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Stresses (n, C, 3) [Pa]."""
-    own = cdr.elements(records, "clusters")
-    fields = "normal", "shear_x", "shear_y"
-    values = [np.stack([part[field] for field in fields], axis=-1) for part in own]
+    """Stresses (n, C, 3) [Pa]; NaN where the status says that nothing was measured."""
+    values = []
+    for part in cdr.elements(records, "clusters"):
+        stress = np.stack([part[field] for field in ("normal", "shear_x", "shear_y")], axis=-1)
+        is_lacking = np.isin(part["status"], (Status.SATURATED, Status.MISSING))
+        values.append(np.where(is_lacking[..., None], np.nan, stress))
     return _stacked(name, values, sample)
 
 

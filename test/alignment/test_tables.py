@@ -170,6 +170,42 @@ def test_dates_of_rows(tmp_path: Path, kind: str) -> None:
     assert found.is_dated
 
 
+JUNE_5 = 1_717_588_800_000_000_000  # [ns]; 2024-06-05 12:00 UTC
+FIFTH_OF_JUNE = {  # the day is not the month
+    "German": ("Timestamp", "05.06.2024 12:00:00.000", "05.06.2024 12:00:00.010"),
+    "German without zeros": ("Timestamp", "5.6.2024 12:00:00.00", "5.6.2024 12:00:00.01"),
+    "German date alone": ("Date,Time", "05.06.2024,12:00:00.000", "05.06.2024,12:00:00.010"),
+    "ISO": ("Timestamp", "2024-06-05T12:00:00.000", "2024-06-05T12:00:00.010"),
+    "ISO date alone": ("Date,Time", "2024-06-05,12:00:00.000", "2024-06-05,12:00:00.010"),
+    "underscore": ("Timestamp", "2024-06-05_12:00:00.000", "2024-06-05_12:00:00.010"),
+}
+
+
+@pytest.mark.parametrize("kind", FIFTH_OF_JUNE)
+def test_day_and_month_keep_their_places(tmp_path: Path, kind: str) -> None:
+    found = read_wrench_table(written(tmp_path / "cell.csv", with_times(*FIFTH_OF_JUNE[kind])))
+    assert found.series.times.tolist() == [JUNE_5, JUNE_5 + STEP]
+    assert found.is_dated
+
+
+def test_a_day_after_the_twelfth_goes_on(tmp_path: Path) -> None:
+    text = with_times("Timestamp", "12.06.2024 23:59:59.995", "13.06.2024 00:00:00.005")
+    found = read_wrench_table(written(tmp_path / "cell.csv", text))
+    assert np.diff(found.series.times).tolist() == [STEP]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "seconds"),
+    [
+        pytest.param("1:02:03.00", "1:02:03.01", 3723, id="hours"),
+        pytest.param("02:03", "02:04", 123, id="minutes and seconds"),
+    ],
+)
+def test_a_time_of_day_in_seconds(tmp_path: Path, first: str, second: str, seconds: int) -> None:
+    found = read_wrench_table(written(tmp_path / "cell.csv", with_times("Time", first, second)))
+    assert found.series.times[0] == seconds * 1_000_000_000
+
+
 @pytest.mark.parametrize(
     ("title", "first", "second"),
     [

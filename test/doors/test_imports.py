@@ -16,6 +16,7 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial
 
 START = 1_700_000_000_000_000_000  # [ns]
@@ -248,6 +249,48 @@ def test_capacitances_at_triggers(tmp_path: Path, kind: str) -> None:
     assert not measured.status.any()
 
 
+def with_status(row: int, status: int, rows: range) -> dict[str, Any]:
+    """Our array, with a status of input 1 of brim_lateral in some rows, where 15 pF stand."""
+    fields = our_array(row)
+    if row in rows:
+        fields["clusters"][0]["capacitance"][1] = 15.0
+        fields["clusters"][0]["status"][1] = status
+    return fields
+
+
+def with_bad_input(path: Path, status: int, rows: range) -> Measurements:
+    """What is imported of both clusters, brim_lateral first, at 0, 0.25, ... 1 s."""
+    content = sent(lambda row: with_status(row, status, rows))
+    kind = "socket_testbed_msgs/msg/ClusterCapacitanceArray"
+    trial, _ = opened(path, {FT: stamped_wrench(), CLUSTERS: (kind, content)}, clusters=CLUSTERS)
+    assert trial.measurements().clusters == NAMES
+    return trial.measurements()
+
+
+@pytest.mark.parametrize("status", [1, 2], ids=["saturated", "missing"])
+def test_an_input_without_a_reading_is_missing(tmp_path: Path, status: int) -> None:
+    measured = with_bad_input(tmp_path, status, range(ROWS))
+    assert np.isnan(measured.capacitance[:, 0, 1]).all()
+    assert (measured.status[:, 0, 1] == 2).all()
+    others = [0, 2, 3]
+    np.testing.assert_allclose(measured.capacitance[2, 0, others], [5.05, 5.25, 5.35], atol=1e-9)
+    np.testing.assert_allclose(measured.capacitance[2, 1], [5.45, 5.55, 5.65, 5.75], atol=1e-9)
+    assert not measured.status[:, 0, others].any() and not measured.status[:, 1].any()
+
+
+@pytest.mark.parametrize("status", [1, 2], ids=["saturated", "missing"])
+def test_an_input_is_missing_while_it_has_no_reading(tmp_path: Path, status: int) -> None:
+    """From 0.4 to 0.6 s; its cluster misses the trigger at 0.5 s, and the other one none."""
+    measured = with_bad_input(tmp_path, status, range(40, 61))
+    assert measured.status[:, 0, 1].tolist() == [0, 0, 2, 0, 0]
+    np.testing.assert_allclose(
+        measured.capacitance[:, 0, 1], [5.1, 5.125, NAN, 5.175, 5.2], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        measured.capacitance[:, 1, 1], [5.5, 5.525, 5.55, 5.575, 5.6], atol=1e-9
+    )
+
+
 def test_stresses_come_back(tmp_path: Path) -> None:
     """Normal 20 kPa and shears 3 and -2 kPa of distal: forces 900 mm^2 times these."""
     cluster = {"name": "distal", "normal": 2e4, "shear_x": 3e3, "shear_y": -2e3, "status": 0}
@@ -261,6 +304,33 @@ def test_stresses_come_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(trial.samples().local_forces[2, 0], expected, atol=1e-6)
     assert np.linalg.norm(expected) == pytest.approx(9e-4 * np.sqrt(4e8 + 9e6 + 4e6))
     assert any("stored as the capacitances" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("status", "is_lacking"),
+    [
+        pytest.param(0, False, id="ok"),
+        pytest.param(1, True, id="saturated"),
+        pytest.param(2, True, id="missing"),
+        pytest.param(3, False, id="out of range"),
+    ],
+)
+def test_a_stress_counts_by_its_status(tmp_path: Path, status: int, is_lacking: bool) -> None:
+    """A stress of 5 kPa stands in each message, whatever its status."""
+    cluster = {"name": "distal", "normal": 5e3, "shear_x": 0.0, "shear_y": 0.0, "status": status}
+    other = {"name": "brim_lateral", "normal": 2e4, "shear_x": 0.0, "shear_y": 0.0, "status": 0}
+    content = (
+        "socket_testbed_msgs/msg/ClusterStressArray",
+        sent(lambda row: {"clusters": [other, cluster]}),
+    )
+    trial, _ = opened(tmp_path, {FT: stamped_wrench(), CLUSTERS: content})
+    samples = trial.samples()
+    normal = {
+        name: trial.geometry.cluster_stress(name, samples.local_forces[2, column])[0]
+        for column, name in enumerate(samples.clusters)
+    }
+    assert normal["brim_lateral"] == pytest.approx(2e4, rel=1e-6)
+    assert normal["distal"] == pytest.approx(NAN if is_lacking else 5e3, rel=1e-6, nan_ok=True)
 
 
 def test_triggers_of_a_topic(tmp_path: Path) -> None:

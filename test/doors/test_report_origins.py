@@ -10,6 +10,7 @@ from support import scene
 from support.pages import MADE
 from support.results_by_hand import tile
 
+import socket_testbed as st
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.report import pressure, quality
 from socket_testbed.results.pressure import TrialPressure
@@ -83,6 +84,30 @@ def test_the_cards_name_the_peak_s_tile(report, moving: TrialPressure) -> None:
     assert data["start"] == 12.0
     assert any("ant_mid" in str(card) or "mid_anterior" in str(card) for card in data["cards"])
     assert not any("post_mid" in str(card) for card in data["cards"])
+
+
+# A segment of the trial, its peak [kPa] and when; that of the trial is 60 kPa at 12 s
+PARTS = {
+    "before the trial's peak": ("0:4", "30.0 kPa", 4.0, "; highest of the trial 60.0 at 12 s"),
+    "after the trial's peak": ("18:22", "40.0 kPa", 18.0, "; highest of the trial 60.0 at 12 s"),
+    "with the trial's peak": ("6:18", "60.0 kPa", 12.0, ""),
+}
+
+
+@pytest.mark.parametrize("case", PARTS)
+def test_the_page_tells_peaks_of_part_and_trial(case: str, report) -> None:
+    segment, value, when, highest = PARTS[case]
+    found = st.pressure(report.results.trial, segment)
+    data = pressure.page_data(replace(report.results, pressure=found))
+    card = data["cards"][0]
+    assert card["value"] == value
+    assert card["words"] == f"anterior middle, measured by mid_anterior, in the segment{highest}"
+    assert data["start"] == when
+    shown = [moment for moment in data["moments"] if "words" in moment]
+    assert [moment["words"] for moment in shown] == [f"at {when:.2f} s, the peak in the segment"]
+    assert shown[0]["time"] == when
+    assert shown[0]["pressure"][tile("ant_mid")] == pytest.approx(float(value.removesuffix(" kPa")))
+    assert data["mean"]["words"] == f"mean over {found.segment}" and data["mean"]["time"] is None
 
 
 def test_a_map_is_drawn_at_the_peak(report, moving: TrialPressure) -> None:

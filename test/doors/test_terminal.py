@@ -238,6 +238,30 @@ def test_lateness_is_in_milliseconds(case: str, monkeypatch: pytest.MonkeyPatch)
     assert bool(found.hint) is (verdict == "too late")
 
 
+# Steps in ms between 101 threads that wake up ever later; the 99th of 100 counts, and 3 ms suffice
+SPREAD = {
+    "soon": (0.03, "soon enough", "3 ms late (p99; 3 ms at most)"),
+    "sooner": (0.01, "soon enough", "0.99 ms late (p99; 1 ms at most)"),
+    "late in a hundredth": (0.031, "too late", "3.1 ms late (p99; 3.1 ms at most)"),
+    "late in a half": (0.08, "too late", "7.9 ms late (p99; 8 ms at most)"),
+}
+
+
+@pytest.mark.parametrize("case", SPREAD)
+def test_the_latest_hundredth_judges_lateness(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    step, verdict, words = SPREAD[case]
+
+    def lateness(priority: int = 0) -> np.ndarray:
+        return 1e-3 * (0.02 if priority else step) * np.arange(101)
+
+    monkeypatch.setattr(doctor, "measure_lateness", lateness)
+    found = only(doctor.check_scheduling(make_testbed()))
+    assert found.found == (
+        f"threads wake up {words}, with real-time priority 10 2 ms late (p99; 2 ms at most):"
+        f" {verdict} for 50 Hz"
+    )
+
+
 @pytest.mark.parametrize("permitted", [True, False], ids=["permitted", "refused"])
 def test_a_priority_that_is_set_counts(permitted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """An ordinary thread is 4 ms late, too late."""

@@ -79,6 +79,31 @@ def test_changed_ids_are_reported_for_three_seconds() -> None:
     assert watch.warning(14.0) == ""
 
 
+# When frames have other ids of socket and pylon [s], their new ids, and what is said at 12 s
+LOSSES = {
+    "socket first": ((10.0, 11.0), (9, 7), "socket 9 instead of 1, pylon 7 instead of 2", "2.1"),
+    "pylon first": ((11.0, 10.0), (9, 7), "socket 9 instead of 1, pylon 7 instead of 2", "2.1"),
+    "pylon alone": ((99.0, 11.0), (1, 7), "pylon 7 instead of 2", "1.1"),
+    "socket alone": ((10.0, 99.0), (9, 2), "socket 9 instead of 1", "2.1"),
+    "socket hidden": ((10.0, 11.0), (1, 7), "pylon 7 instead of 2", "1.1"),
+}
+
+
+@pytest.mark.parametrize("case", LOSSES)
+def test_the_longest_loss_of_poses_is_told(case: str) -> None:
+    """The last poses are 0.125 s before the first frame with another id."""
+    (socket, pylon), renumbered, ids, seconds = LOSSES[case]
+    watch = BodyWatch()
+    for moment in np.arange(9.0, 12.0, 0.125):
+        ids_seen = 1 if moment < socket else 9, 2 if moment < pylon else 7
+        watch.observe(frame(ids=ids_seen), models(), moment)
+    watch.renewed(models(), models(ids=renumbered), 12.0)
+    assert watch.warning(12.0) == (
+        f"Motive has changed the ids of its rigid bodies ({ids}): they are read again, after"
+        f" {seconds} s without poses"
+    )
+
+
 def test_equal_definitions_are_no_change() -> None:
     watch = BodyWatch()
     watch.renewed(models(), models(), 5.0)
