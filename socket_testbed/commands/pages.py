@@ -164,7 +164,7 @@ def survey(call: calls.Survey) -> None:
     check_files(output, call.figure, replace=call.replace, table=page is None)
     trials = _surveyed(call)
     for each in trials:
-        report_data(each)
+        report_data(each, leave_out=left_out(each, call))
     found = api.survey(*trials, **given(call, SurveyOptions), progress=Progress)
     if page is not None:
         api.write_survey(found, page, typed_command())

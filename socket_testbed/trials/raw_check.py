@@ -146,7 +146,8 @@ def check_orientations(bag: BagReader, geometry: SocketGeometry) -> Iterator[Dat
     names = required_topics(bag)
     if not bag.counts.get(names.get(topics.MARKERS, "")):
         return
-    wanted = {names[topic]: topic for topic in (topics.MARKERS, *topics.POSES.values())}
+    judged = (topics.MARKERS, *topics.POSES.values())
+    wanted = {names[topic]: topic for topic in judged if topic in names}
     readers = {topic: Reader(topic, bag.path) for topic in wanted.values()}
     poses: dict[str, dict[int, FloatArray]] = {body: {} for body in topics.POSES}
     markers: dict[str, dict[int, FloatArray]] = {body: {} for body in topics.POSES}

@@ -23,9 +23,7 @@ from socket_testbed.settings.options import MetadataOptions
 from socket_testbed.trials.metadata import TrialMetadata
 
 SCAN, OUT = Path("scan.stl"), Path("socket.yaml")
-CLUSTERS: Any = SimpleNamespace(
-    settings=SimpleNamespace(cluster_node=SimpleNamespace(names=("a", "b", "c", "d")))
-)
+CLUSTERS: Any = SimpleNamespace(settings=SimpleNamespace(cluster_names=("a", "b", "c", "d")))
 FILES = {"geometry": None, "calibration": None, "load_cell": None, "tare": "recorded"}
 NO_TESTBED: Any = None
 FOLDER: Any = None  # a verb that does not begin

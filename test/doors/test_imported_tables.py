@@ -172,6 +172,22 @@ def test_one_table_may_hold_everything(tmp_path: Path) -> None:
     assert not any("2000-01-01" in note for note in notes)
 
 
+def test_columns_units_and_rates_are_stated(tmp_path: Path) -> None:
+    """Fz in kN falls by 1 N in 10 ms from -100 N, without times: -200 N after a second."""
+    path = tmp_path / "cell.csv"
+    rows = [f"0.01,0.02,{-0.1 - 1e-3 * k:.3f},1,2,3" for k in range(201)]
+    path.write_text("\n".join(["a,b,c,d,e,f", *rows, ""]))
+    trial, _ = opened(
+        tmp_path,
+        path,
+        columns=dict(zip(("Fx", "Fy", "Fz", "Mx", "My", "Mz"), "abcdef", strict=True)),
+        units={"force": "kN", "moment": "N m"},
+        row_rate={"wrench": 100.0},
+    )
+    wrench = trial.samples().wrench
+    np.testing.assert_allclose(wrench[4], [1, 2, 3, 10, 20, -200], atol=1e-6)  # at 1 s
+
+
 def test_an_offset_corrects_a_date(tmp_path: Path) -> None:
     """The clusters' clock is 100 s late; the trial has the dates of the load cell."""
     cell_file = cell(tmp_path / "cell.csv", 1_714_910_400.0)

@@ -804,7 +804,10 @@ def of_choices(name: str) -> tuple[str, ...]:
     return tuple(each for each in OF_FIT if each not in but[name]) if name in but else ()
 
 
-FUNCTIONS = {name: getattr(st, name) for name in st.__all__ if name.islower()}
+# The effect of each option of `import_trial` is in test_imports.py and test_imported_tables.py.
+FUNCTIONS = {
+    name: getattr(st, name) for name in st.__all__ if name.islower() and name != "import_trial"
+}
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

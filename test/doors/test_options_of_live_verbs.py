@@ -493,6 +493,7 @@ def test_a_replay_checks_no_channel_left_out(stage: Stage) -> None:
 DEFAULTS: dict[str, dict[str, Any]] = {
     "calibrate": {"limit": 10.0},
     "compare": {"segment": "plateau", "threshold": 5.0},
+    "survey": {"segment": "plateau"},
     "demo": {"output": Path("demo"), "seed": 0},
     "doctor": {"scenario": "static_hold", "period": 120.0, "tissue": "soft", "seed": 0}
     | {"donning_share": 0.1},

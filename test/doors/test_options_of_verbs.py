@@ -196,6 +196,11 @@ def prepare_simulate(stage: Stage, verb: str) -> None:
     stage.replace("commands.trials.read_truth", lambda path: truth)
 
 
+@prepares("import")
+def prepare_import(stage: Stage, verb: str) -> None:
+    stand_in(stage, "import_trial", stage.trial)
+
+
 @prepares("annotate")
 def prepare_annotate(stage: Stage, verb: str) -> None:
     stand_in(stage, "annotate", stage.trial.metadata)
@@ -250,6 +255,7 @@ LEAST: dict[str, dict[str, str]] = {
     "map": {"trial": "scene", "output": "-o new.csv"},
     "compare": {"trial": "scene second"},
     "survey": {"trial": "scene second"},
+    "import": {"source": "bag", "output": "-o new"},
     "simulate": {"output": "-o new"},
     "annotate": {"trial": "scene"},
     "export": {"trial": "scene", "output": "-o new.csv"},
@@ -433,6 +439,28 @@ CASES: dict[str, Cases] = {
         **only(SETTINGS, "segment", "params"),
         "clusters": ("--clusters 2", {"clusters": 2}),
         "keep_out": ("--keep-out distal middle", {"keep_out": ["distal", "middle"]}),
+    },
+    "import": {
+        "source": ("a.csv b.csv", {"source": ["a.csv", "b.csv"]}),
+        "output": ("-o b", {"path": "b"}),
+        "wrench": ("--wrench /ft", {"wrench": "/ft"}),
+        "socket_pose": ("--socket-pose tf:world/socket", {"socket_pose": "tf:world/socket"}),
+        "pylon_pose": ("--pylon-pose none", {"pylon_pose": "none"}),
+        "clusters": ("--clusters /uc", {"clusters": "/uc"}),
+        "names": ("--names a b", {"names": ["a", "b"]}),
+        "rate": ("--rate 25", {"rate": 25.0}),
+        "trigger": ("--trigger /sync", {"trigger": "/sync"}),
+        "offset": ("--offset wrench=1.5 clusters=tap", {"offset": ["wrench=1.5", "clusters=tap"]}),
+        "tap": ("--tap 0:5", {"tap": "0:5"}),
+        "columns": ("--columns Fx=f1 Fz=f3", {"columns": ["Fx=f1", "Fz=f3"]}),
+        "units": ("--units force=kN", {"units": ["force=kN"]}),
+        "row_rate": ("--row-rate wrench=500", {"row_rate": ["wrench=500"]}),
+        "delay": ("--delay wrench=0.02", {"delay": ["wrench=0.02"]}),
+        "wrench_of": ("--wrench-of socket", {"wrench_of": "socket"}),
+        "tare": ("--tare 0:3", {"tare": "0:3"}),
+        "mapping": ("--mapping mapping.yaml", {"mapping": "mapping.yaml"}),
+        "geometry": ("--geometry socket.yaml", {"geometry": "socket.yaml"}),
+        "calibration": ("--calibration calibration.yaml", {"calibration": "calibration.yaml"}),
     },
     "simulate": {
         "output": ("-o b", {"path": "b"}),

@@ -242,8 +242,8 @@ def test_options_of_simulated_hardware_are_checked(given: dict[str, Any], option
     ],
 )
 def test_a_fault_of_a_missing_cluster_is_refused(fault: dict[str, float], refused: bool) -> None:
-    names = SimpleNamespace(names=("a", "b", "c", "d"))
-    testbed: Any = SimpleNamespace(settings=SimpleNamespace(cluster_node=names))
+    settings = SimpleNamespace(cluster_names=("a", "b", "c", "d"))
+    testbed: Any = SimpleNamespace(settings=settings)
     if not refused:
         live._check_faults(fault, testbed)
         return

@@ -36,7 +36,7 @@ class Dense:
     """The equations of the module under one hypothesis, without any of its shortcuts."""
 
     def __init__(self, surveyed: list[Donned], change: float) -> None:
-        (sizes,) = hypotheses(ONE)
+        (sizes,) = hypotheses(ONE, GEOMETRY.tile_share)
         self.K = Prior(GEOMETRY, tuple(GEOMETRY.clusters), sizes).covariance()
         in_socket = wrench_map(GEOMETRY.anchors).reshape(6, TILES, 3)
         self.onto_wrench = np.einsum("wni,nij->wnj", in_socket, GEOMETRY.rotations)
@@ -145,9 +145,11 @@ def test_evidence_tells_how_much_donnings_change() -> None:
 
 
 def test_weights_average_the_evidence_over_trials() -> None:
-    """Two trials: hypotheses by the root of 16 and 4, epsilons by 12 to 4 and 1 to 3."""
+    """Two trials: hypotheses by 4^(0.6 / 2) = 1.5157 to 1, epsilons by 12 to 4 and 1 to 3."""
     found = survey._weights(np.log([[12.0, 4.0], [1.0, 3.0]]), 2)
-    np.testing.assert_allclose(found, [[2 / 3 * 0.75, 2 / 3 * 0.25], [1 / 12, 0.25]])
+    likelier = 1.5157166 / 2.5157166
+    by_hand = [[0.75 * likelier, 0.25 * likelier], [0.25 * (1 - likelier), 0.75 * (1 - likelier)]]
+    np.testing.assert_allclose(found, by_hand, rtol=1e-6)
     unlikely = survey._weights(np.log([[1.0, 1e-3]]), 1)
     np.testing.assert_array_equal(unlikely, [[1.0, 0.0]])
 
