@@ -105,7 +105,7 @@ class FitWorker:
 
     def _open(self) -> None:
         spawn = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, spawn, initializer=_lower_priority)
+        self._pool = ProcessPoolExecutor(1, spawn, initializer=_begin, initargs=(os.getpid(),))
         # The process inherits the mask: Ctrl-C would end it with a traceback before `close` does.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
@@ -143,13 +143,19 @@ class FitWorker:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _lower_priority() -> None:
-    """Yield the processor to the predictions, and end with the node even if that is killed."""
+def _begin(node: int) -> None:
+    """Yield the processor to the predictions, and end with the node even if that is killed.
+
+    Args:
+        node: Process of the node.
+    """
     # The node may share a process with a sensor node, and so have its real-time priority.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(signal.SIGKILL)
+    if os.getppid() != node:  # it was killed while this process loaded its libraries
+        os._exit(1)
 
 
 def fit_samples(

@@ -4,6 +4,8 @@ import dataclasses
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -432,6 +434,15 @@ def samples(trial: Trial) -> Samples:
     """A hold under load, without the ramps at its ends."""
     samples = trial.samples()
     return samples[find_plateaus(samples, PLATEAU)[0].rows]
+
+
+@pytest.mark.parametrize(("of_node", "code"), [(True, 0), (False, 1)], ids=["its node", "killed"])
+def test_a_worker_whose_node_was_killed_meanwhile_ends(of_node: bool, code: int) -> None:
+    """Its parent is another process then."""
+    node = "os.getppid()" if of_node else "os.getppid() + 1"
+    program = f"import os; from socket_testbed.live.fit_worker import _begin; _begin({node})"
+    ended = subprocess.run([sys.executable, "-c", program], check=False, timeout=60)
+    assert ended.returncode == code
 
 
 @pytest.mark.graph
