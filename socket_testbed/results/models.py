@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.documents import path_of
+from socket_testbed.errors import IdentificationError
 from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information
 from socket_testbed.identification.fit import (
@@ -371,7 +372,7 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
 
     Raises:
         IdentificationError: If the limb positions of the segment are in another unit or frame, or
-            there are none.
+            there are none, or nothing was measured that predictions could be compared with.
     """
     leave_out = model.settings.leave_out
     checked = trial.checked(leave_out)
@@ -381,6 +382,12 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     with threadpool_limits(1):
         predicted = model.predictions(samples, past)
     errors = evaluate(samples, predicted, leave_out)
+    if not any(error.samples for error in errors):
+        raise IdentificationError(
+            f"none of the {len(samples)} samples has a limb position with a wrench or a trusted"
+            " cluster, which predictions are compared with",
+            "choose another segment, or record the load cell or the clusters",
+        )
     return Evaluation(trial, model, segment, int(samples.has_pose_and_wrench.sum()), errors)
 
 

@@ -55,6 +55,7 @@ REFUSALS = {
     "poses alone": {
         **dict.fromkeys(("fit", "validate", "report"), NO_WRENCH),
         **dict.fromkeys(("pressure", "map"), NOTHING),
+        "evaluate": "which predictions are compared with: choose another segment, or record",
     },
 }  # fmt: skip
 WHO = {"fit": "a fit", "report": "a fit", "evaluate": "a prediction", "validate": "a validation"}

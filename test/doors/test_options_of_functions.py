@@ -151,7 +151,8 @@ def call_evaluate(stage: Stage, **options: Any) -> None:
         return "pressure"
 
     stage.patch.setattr(FittedModel, "predictions", predicted)
-    stage.keep("results.models.evaluate", "", "", "judged without", returned=())
+    errors = (SimpleNamespace(samples=1),)
+    stage.keep("results.models.evaluate", "", "", "judged without", returned=errors)
     stage.replace("api.models.pressure_of", pressures)
     found = st.evaluate(stage.trial, **{"model": "model.json"} | options)
     stage.seen["segment"] = str(found.segment)
