@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -51,8 +52,6 @@ _MAPS = (
     " certain. Differences have their own scale, centred on zero, and are grey where the 95 %"
     " interval includes zero. Outlined: clusters."
 )
-
-
 _SURVEY_MAPS = (
     "Normal pressure on the unrolled wall and the distal end, mean over the like loads, on a common"
     " scale; the greyer, the less certain. Own: from the clusters of this trial alone; completed:"
@@ -141,6 +140,21 @@ def write_report(
     return results
 
 
+def _page_path(page: PathLike) -> Path:
+    """The path of a page, which must end as one."""
+    path = path_of(page, "the page")
+    check_suffix(path, PAGES, "page")
+    return path
+
+
+def _origin(command: str) -> Table:
+    """When a page was made, and by which command."""
+    from socket_testbed.report.page import utc
+
+    rows = [("page made", utc(datetime.now(UTC))), ("command", command)]
+    return pairs_table("provenance-table", "Provenance of the page", rows)
+
+
 def write_comparison(
     found: Comparison, page: PathLike, command: str = "socket_testbed.write_comparison"
 ) -> None:
@@ -158,20 +172,16 @@ def write_comparison(
     >>> st.write_comparison(found, "liners.html")
     """
     # matplotlib is slow to import.
-    from socket_testbed.report.page import Maps, Section, utc, write_page
+    from socket_testbed.report.page import Maps, Section, write_page
 
     check_kind(found, Comparison, "the comparison", "give a result of st.compare")
-    path = path_of(page, "the page")
-    check_suffix(path, PAGES, "page")
-    made = utc(datetime.now(UTC))
-    origin = [("page made", made), ("command", command)]
+    path = _page_path(page)
     count, *clearest = found.differing()
     data, titles = _map_data(found)
     cells = found.cells("regions").loc["socket"].rename_axis("output")
     parts = {name: _tables(found, name) for name in dict.fromkeys(found.table["part"])}
     numbers = [Section(name, _HEADINGS[name], parts.pop(name)) for name in MAPPED if name in parts]
     socket = Table("socket-table", "Outputs of the socket", cells)
-    made_with = pairs_table("provenance-table", "Provenance of the page", origin)
     groups = {
         "": [
             *([Section("maps", "", [Maps(titles, _MAPS)])] if titles else []),
@@ -182,7 +192,7 @@ def write_comparison(
         "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
         "Data": [
             *(Section(name, _HEADINGS[name], tables) for name, tables in parts.items()),
-            Section("provenance", "Provenance", [made_with]),
+            Section("provenance", "Provenance", [_origin(command)]),
         ],
     }
     title = f"Comparison of trials: {', '.join(found.items)}"
@@ -206,12 +216,10 @@ def write_survey(
     >>> st.write_survey(st.survey("trials/hold", again), "survey.html")
     """
     # matplotlib is slow to import.
-    from socket_testbed.report.page import Maps, Section, utc, write_page
+    from socket_testbed.report.page import Maps, Section, write_page
 
     check_kind(found, Survey, "the survey", "give a result of st.survey")
-    path = path_of(page, "the page")
-    check_suffix(path, PAGES, "page")
-    origin = [("page made", utc(datetime.now(UTC))), ("command", command)]
+    path = _page_path(page)
     scores, judged = found.tables()
     pressures = Table("tiles", "Normal pressure", found.pressures())
     used = [
@@ -235,11 +243,7 @@ def write_survey(
         ],
         "Data": [
             Section("trials", "Trials", [pairs_table("trials-table", "Parts and clusters", used)]),
-            Section(
-                "provenance",
-                "Provenance",
-                [pairs_table("provenance-table", "Provenance of the page", origin)],
-            ),
+            Section("provenance", "Provenance", [_origin(command)]),
         ],
     }
     title = f"Survey of one limb: {', '.join(found.trials)}"

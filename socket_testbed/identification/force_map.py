@@ -634,7 +634,7 @@ class Hypothesis:
 _UNCERTAIN = 11  # hyperparameters that `hypotheses` spreads
 
 
-def hypotheses(settings: ForceMapSettings, tile_share: float | None = None) -> Iterator[Hypothesis]:
+def hypotheses(settings: ForceMapSettings, tile_share: float | None) -> Iterator[Hypothesis]:
     """The prior's hyperparameters, spread evenly over their distributions; one has the medians.
 
     `drag` and `share` are normally distributed, the other uncertain ones log-normally.

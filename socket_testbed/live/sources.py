@@ -262,9 +262,8 @@ class StreamedSource:
         if not self._heard:
             hint = "start its driver, or check the topic's name and the ROS_DOMAIN_ID"
             yield ERROR, f"{self.name}: nothing arrives on {topic}: {hint}"
-        silent, rate = (now - self._heard) / _SECOND, self.rate
-        if silent > max(_SILENT, _SILENT_STEPS / rate if rate > 0.0 else 0.0):
-            yield ERROR, f"{self.name}: {topic} is silent for {silent:.1f} s: check its driver"
+        if silence := _silence(self._heard, now, self.rate):
+            yield ERROR, f"{self.name}: {topic} is {silence}: check its driver"
         if self._lacked and now - self._lacked < RECENT * _SECOND:
             yield WARN, self._lack()
         if self.clock.is_another:
@@ -326,6 +325,19 @@ class StreamedSource:
         }
 
 
+def _silence(heard: int, now: int, rate: float) -> str:
+    """That a topic is silent, and for how long, in words; empty while it is not.
+
+    Args:
+        heard: Arrival of its newest message [ns].
+        now: The present time [ns].
+        rate: Rate of its messages [Hz]; NaN if unknown.
+    """
+    seconds = (now - heard) / _SECOND
+    usual = _SILENT_STEPS / rate if rate > 0.0 else 0.0
+    return f"silent for {seconds:.1f} s" if seconds > max(_SILENT, usual) else ""
+
+
 class TriggerStream:
     """Triggers from the messages of another program.
 
@@ -374,9 +386,9 @@ class TriggerStream:
         if not self._heard:
             hint = "start its program, or check the topic's name and the ROS_DOMAIN_ID"
             return ERROR, f"no message on {self._topic}, each of which is a trigger: {hint}"
-        silent, rate = (now - self._heard) / _SECOND, self.rate
-        if silent > max(_SILENT, _SILENT_STEPS / rate if rate > 0.0 else 0.0):
-            return ERROR, f"{self._topic} is silent for {silent:.1f} s: check its program"
+        rate = self.rate
+        if silence := _silence(self._heard, now, rate):
+            return ERROR, f"{self._topic} is {silence}: check its program"
         if self.clock.is_another:
             fact = f"the clock of {self._topic} is not this machine's"
             hint = "its stamps are corrected by their arrival; synchronise the clocks"

@@ -56,7 +56,7 @@ def whole_prior(sizes: Hypothesis) -> np.ndarray:
 
 def test_the_prior_s_parts_are_its_equation_s() -> None:
     tiles = len(GEOMETRY)
-    for sizes in islice(hypotheses(ForceMapSettings()), 3):
+    for sizes in islice(hypotheses(ForceMapSettings(), None), 3):
         whole, prior = whole_prior(sizes), Prior(GEOMETRY, CLUSTERS, sizes)
         root = prior.draw(np.eye(9 * tiles + 7))  # a draw is linear in its numbers
         for found in (prior.covariance(), root.T @ root):
@@ -67,7 +67,7 @@ def test_the_prior_s_parts_are_its_equation_s() -> None:
 
 def test_hypotheses_follow_the_stated_distributions() -> None:
     settings = ForceMapSettings(draws=256, spread=2.0)
-    logs = np.log([sizes.sinking / settings.sinking for sizes in hypotheses(settings)])
+    logs = np.log([sizes.sinking / settings.sinking for sizes in hypotheses(settings, None)])
     assert abs(np.median(logs)) < 0.2 and abs(logs.std() - 2.0) < 0.2
 
 

@@ -359,7 +359,7 @@ def test_a_magnitude_is_uncertain_by_rice() -> None:
 
 def test_the_first_hypothesis_has_the_medians() -> None:
     settings = ForceMapSettings()
-    first, *others = force_map.hypotheses(settings)
+    first, *others = force_map.hypotheses(settings, None)
     for name in ("length", "shear", "preload", "bed", "sinking", "rotation", "bed_shear"):
         assert getattr(first, name) == pytest.approx(getattr(settings, name)), name
     for name in ("bed_variation", "arm", "drag", "share", "moment_error", "force_error"):
@@ -372,7 +372,7 @@ def test_the_first_hypothesis_has_the_medians() -> None:
 def test_hypotheses_have_their_spreads() -> None:
     """Standard deviations over 256 even points: each has its own."""
     settings = replace(ForceMapSettings(), draws=256, share=0.5, share_spread=0.05, drag_spread=0.3)
-    found = [*force_map.hypotheses(settings)]
+    found = [*force_map.hypotheses(settings, None)]
     for name, spread in (
         ("length", settings.length_spread),
         ("cluster_error", settings.cluster_error_spread),
@@ -406,7 +406,7 @@ def test_a_map_knows_its_tiles_share() -> None:
 
 
 def sizes(**changes: float) -> force_map.Hypothesis:
-    first = next(iter(force_map.hypotheses(ForceMapSettings())))
+    first = next(iter(force_map.hypotheses(ForceMapSettings(), None)))
     return replace(first, **changes)
 
 
