@@ -369,6 +369,27 @@ def _percent(found: Interval) -> str:
     return f"{shown} ({100.0 * found.low:.0f} to {100.0 * found.high:.0f} %)"
 
 
+def open_surveyed(trials: Sequence[Trial | PathLike]) -> list[Trial]:
+    """The trials of a survey, all different and of one socket; their data is not read.
+
+    Args:
+        trials: The trials or their folders.
+
+    Raises:
+        ConfigurationError: There are too few or too many, one is given twice, or they are of
+            different sockets.
+    """
+    if not 2 <= len(trials) <= _MAX_TRIALS:
+        raise ConfigurationError(
+            f"trials of a survey: {len(trials)}",
+            f"give 2 to {_MAX_TRIALS} of one limb, with clusters on other tiles",
+        )
+    opened = [as_trial(each) for each in trials]
+    require_different(opened)
+    require_one_socket(opened, "survey one limb in one socket at a time")
+    return opened
+
+
 def survey(
     *trials: Trial | PathLike,
     segment: str | Span | Segment = SurveyOptions.segment,
@@ -416,15 +437,7 @@ def survey(
     >>> st.write_survey(found, "survey.html")
     """
     specification = specification_of(segment)
-    given = trials_of(trials)
-    if not 2 <= len(given) <= _MAX_TRIALS:
-        raise ConfigurationError(
-            f"trials of a survey: {len(given)}",
-            f"give 2 to {_MAX_TRIALS} of one limb, with clusters on other tiles",
-        )
-    opened = [as_trial(each) for each in given]
-    require_different(opened)
-    require_one_socket(opened, "survey one limb in one socket at a time")
+    opened = open_surveyed(trials_of(trials))
     names = unique_names(opened)
     settings = settings_of(opened[0], params)
     geometry = opened[0].geometry

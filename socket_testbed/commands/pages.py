@@ -16,6 +16,7 @@ import pandas as pd
 from socket_testbed import api
 from socket_testbed.api.comparison import LEGEND, open_compared
 from socket_testbed.api.survey import LEGEND as SURVEY_LEGEND
+from socket_testbed.api.survey import open_surveyed
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
 from socket_testbed.commands import calls
@@ -163,7 +164,7 @@ def survey(call: calls.Survey) -> None:
     page = output if output and output.suffix.lower() in PAGES else None
     check_files(output, call.figure, replace=call.replace, table=page is None)
     trials = _surveyed(call)
-    for each in trials:
+    for each in open_surveyed(trials):  # wrong calls fail before data is read
         report_data(each, leave_out=left_out(each, call))
     found = api.survey(*trials, **given(call, SurveyOptions), progress=Progress)
     if page is not None:
