@@ -328,7 +328,8 @@ def test_the_load_cell_s_frames_are_counted(
 def test_motion_capture_is_in_hertz_and_milliseconds(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    FakeClock(100.0).install(monkeypatch)
+    clock = FakeClock(100.0)
+    clock.install(monkeypatch)
     client = SimpleNamespace(
         start=lambda: None,
         health=lambda now: (OK, ""),
@@ -337,7 +338,11 @@ def test_motion_capture_is_in_hertz_and_milliseconds(
         close=lambda: None,
     )
     bodies = [SimpleNamespace(fault=""), SimpleNamespace(fault="marker 2 is hidden: look for it")]
-    tracker = SimpleNamespace(add=None, sample=lambda moment: bodies)
+    tracker = SimpleNamespace(
+        add=None,
+        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
+        sample=lambda moment: bodies,
+    )
     monkeypatch.setattr(doctor, "NatNetClient", lambda settings, add: client)
     monkeypatch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
     write_socket(scene.geometry(), tmp_path / "socket.yaml")

@@ -199,7 +199,11 @@ def test_a_warning_of_the_stream_is_a_row(
         moments.append(moment)
         return [SimpleNamespace(fault="")] * 2
 
-    tracker = SimpleNamespace(add=None, sample=sample)
+    tracker = SimpleNamespace(
+        add=None,
+        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
+        sample=sample,
+    )
     monkeypatch.setattr(doctor, "NatNetClient", lambda settings, add: client)
     monkeypatch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
     settings = MocapSettings(server="10.0.0.5", command_port=1511, stale=0.4, pylon_body="leg")
@@ -211,7 +215,47 @@ def test_a_warning_of_the_stream_is_a_row(
         Outcome("rigid body leg", "its 3 markers are seen"),
     ]
     assert clock.now == pytest.approx(103.4, abs=0.06)
-    assert moments == [pytest.approx(clock.now - 0.2)]
+    assert moments == [pytest.approx(clock.now - 0.4)]
+
+
+LATE = SimpleNamespace(fault="no two frames within 0.05 s around the trigger")
+SEEN = SimpleNamespace(fault="")
+
+
+@pytest.mark.parametrize("bad_looks, is_found", [(1, True), (3, True), (1000, False)])
+def test_late_frames_do_not_fail_the_bodies(
+    bad_looks: int,
+    is_found: bool,
+    clock: FakeClock,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """A busy network's late frame is no untracked body: the bodies have a second to be seen."""
+    client = SimpleNamespace(
+        start=lambda: None,
+        health=lambda now: (OK, ""),
+        server="Motive 3.1",
+        figures=lambda: {"rate": 240.0, "clock_uncertainty": 1e-5},
+        close=lambda: None,
+    )
+    looks = 0
+
+    def sample(moment: float) -> Any:
+        nonlocal looks
+        looks += 1
+        return [SEEN, LATE if looks <= bad_looks else SEEN]
+
+    tracker = SimpleNamespace(
+        add=None,
+        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
+        sample=sample,
+    )
+    monkeypatch.setattr(doctor, "NatNetClient", lambda settings, add: client)
+    monkeypatch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
+    settings = MocapSettings(server="10.0.0.5", stale=0.05)
+    *_, pylon = doctor.check_motion_capture(made_testbed(tmp_path, mocap_node=settings))
+    assert pylon.found == ("its 3 markers are seen" if is_found else LATE.fault)
+    assert clock.now == pytest.approx(100.05 + 0.05 * bad_looks if is_found else 101.0, abs=0.06)
 
 
 # --- the press test
