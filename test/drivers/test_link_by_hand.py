@@ -3,6 +3,8 @@
 import pytest
 
 from socket_testbed.drivers.natnet.client import LinkStatistics, NatNetClient
+from socket_testbed.drivers.natnet.connection import bitstream_version, server_address
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.acquisition import MocapSettings
 
 NOW = 100.0  # [s]
@@ -70,3 +72,42 @@ def test_lost_and_late_frames_are_told_by_number() -> None:
     assert newer == [True, True, False, False, True]
     figures = client.figures()
     assert (figures["lost_frames"], figures["duplicate_or_late_frames"]) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("setting", "version"), [("3.0", (3, 0)), ("4.1", (4, 1)), ("10.12", (10, 12))]
+)
+def test_a_bitstream_is_major_and_minor(setting: str, version: tuple[int, int]) -> None:
+    assert bitstream_version(MocapSettings(bitstream=setting)) == version
+
+
+REFUSED = {
+    "no server": ({}, "server is empty: give the address of the computer that runs Motive"),
+    "no address": (
+        {"interface": "eth0"}, "interface is 'eth0': give an IPv4 address, or nothing",
+    ),
+    "no group": (
+        {"multicast": "223.255.255.255"},
+        "multicast is '223.255.255.255', which is not a multicast group: give 239.255.42.99, say",
+    ),
+    "old": (
+        {"bitstream": "2.99"},
+        "bitstream is '2.99', which is too old: give 3.0 or later, such as 4.1",
+    ),
+    "no version": ({"bitstream": "4"}, "bitstream is '4': give a version such as 4.1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_wrong_address_has_this_line(case: str) -> None:
+    changes, line = REFUSED[case]
+    server = {"server": "127.0.0.1"} if changes else {}
+    with pytest.raises(ConfigurationError) as caught:
+        NatNetClient(MocapSettings(**server, **changes), lambda *_: None)
+    assert str(caught.value) == f"mocap_node: {line}"
+
+
+def test_a_server_has_its_address_and_command_port() -> None:
+    """The first group of the range of groups is one."""
+    settings = MocapSettings(server=" 127.0.0.1 ", command_port=1512, multicast="224.0.0.0")
+    assert server_address(settings) == ("127.0.0.1", 1512)
