@@ -179,6 +179,19 @@ def test_predictions_have_the_errors_of_evaluate(
         np.testing.assert_array_equal(columns[name], values)
 
 
+def test_springs_share_the_time_of_the_segment(hold: Path, hold_model: Path) -> None:
+    """The shares of all springs are the mean number of engaged ones, which differ in time."""
+    trial = st.open_trial(hold)
+    means = []
+    for segment in ("all", (0.0, 2.0)):
+        found = st.evaluate(trial, hold_model, segment)
+        engaged = found.engagement()
+        assert len(engaged.engaged) == len(trial.samples())
+        means.append(np.nanmean(engaged.engaged[found.segment.rows]))
+        assert engaged.time_share.sum() == pytest.approx(means[-1])
+    assert abs(means[0] - means[1]) > 0.5
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_any_number_is_read_back_exactly(suffix: str, tmp_path: Path) -> None:
     values = np.array([0.1, np.nan, 1e-300, np.nextafter(1.0, 2.0), -1.7976931348623157e308])
