@@ -35,7 +35,7 @@ from socket_testbed.api.imports import import_trial
 from socket_testbed.api.models import evaluate, fit, predict, read_model
 from socket_testbed.api.pages import view, write_comparison, write_report, write_survey
 from socket_testbed.api.pressure import force_map, pressure
-from socket_testbed.api.survey import Survey, survey
+from socket_testbed.api.survey import survey
 from socket_testbed.api.tradeoff import PaperTable, Tradeoff, paper, pareto
 from socket_testbed.api.trials import annotate, check_data, open_trial, simulate
 from socket_testbed.api.validation import Validation, validate
@@ -43,3 +43,4 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.results.models import Evaluation, TrialFit
 from socket_testbed.results.pressure import TrialMap, TrialPressure
 from socket_testbed.results.result import Result
+from socket_testbed.results.survey import Survey

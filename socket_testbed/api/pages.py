@@ -12,8 +12,6 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for, predictions
-from socket_testbed.api.survey import LEGEND as SURVEY_LEGEND
-from socket_testbed.api.survey import Survey
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import PAGES, check_suffix
@@ -22,6 +20,8 @@ from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VAL
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.pages.document import moment, pressure_card, socket_document
 from socket_testbed.results.result import PathLike
+from socket_testbed.results.survey import LEGEND as SURVEY_LEGEND
+from socket_testbed.results.survey import Survey
 from socket_testbed.settings.identification import ReportChoices
 from socket_testbed.settings.options import ReportOptions
 from socket_testbed.settings.testbed import ViewSettings

@@ -15,9 +15,9 @@ from support import scene
 from support.pages import Page
 
 import socket_testbed as st
-from socket_testbed.api.survey import Survey
 from socket_testbed.commands.pages import _show_survey
 from socket_testbed.identification.survey import Field, Interval, JudgedPoint, Judgements
+from socket_testbed.results.survey import Survey
 
 STATES = 2
 UP = np.tile([0.0, 0.0, 1.0], (STATES, 1))
