@@ -27,7 +27,7 @@ Units, frames and signs, unless stated otherwise:
 """
 
 # The only list of public names; `socket_testbed` re-exports it.
-from socket_testbed.api.comparison import Comparison, compare
+from socket_testbed.api.comparison import compare
 from socket_testbed.api.cycles import Cycles, cycles
 from socket_testbed.api.design import CalibratedCluster, calibrate, register, tile
 from socket_testbed.api.export import export
@@ -40,6 +40,7 @@ from socket_testbed.api.tradeoff import PaperTable, Tradeoff, paper, pareto
 from socket_testbed.api.trials import annotate, check_data, open_trial, simulate
 from socket_testbed.api.validation import Validation, validate
 from socket_testbed.errors import TestbedError
+from socket_testbed.results.comparison import Comparison
 from socket_testbed.results.models import Evaluation, TrialFit
 from socket_testbed.results.pressure import TrialMap, TrialPressure
 from socket_testbed.results.result import Result

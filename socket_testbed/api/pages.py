@@ -10,7 +10,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api import trials
-from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.documents import check_kind, path_of
@@ -19,6 +18,7 @@ from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.pages.document import moment, pressure_card, socket_document
+from socket_testbed.results.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import LEGEND as SURVEY_LEGEND
 from socket_testbed.results.survey import Survey

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from socket_testbed import api
-from socket_testbed.api.comparison import LEGEND, open_compared
+from socket_testbed.api.comparison import open_compared
 from socket_testbed.api.survey import open_surveyed
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
@@ -40,6 +40,7 @@ from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
+from socket_testbed.results.comparison import LEGEND
 from socket_testbed.results.survey import LEGEND as SURVEY_LEGEND
 from socket_testbed.settings.options import (
     ComparisonOptions,
