@@ -354,6 +354,31 @@ OTHERS = {
         lambda: st.simulate("nowhere", rate=1001.0),
         "--rate is 1001.0: give a number from 0.1 to 1000",
     ),
+    "triggers": (
+        lambda: st.simulate("nowhere", duration=36000, rate=1000),
+        "--duration times --rate is 36000000: give a number from 2 to 1e+06",
+    ),
+    "share of a donning": (
+        lambda: st.simulate("nowhere", donning=1, donning_share=1.1),
+        "--donning-share is 1.1: give a number from 0 to 1",
+    ),
+    "share without a donning": (
+        lambda: st.simulate("nowhere", donning_share=0.5),
+        "--donning-share is 0.5, but no donning is given: add --donning SEED: the nominal donning"
+        " does not vary",
+    ),
+    "area": (
+        lambda: st.calibrate("bench.csv", "distal", area=0.06),
+        "--area is 0.06: give a number from 1e-08 to 0.05",
+    ),
+    "places": (
+        lambda: st.tile("scan.stl", place=1001),
+        "--place is 1001: give a whole number from 0 to 1000",
+    ),
+    "height": (
+        lambda: st.tile("scan.stl", height=-2.1),
+        "--height is -2.1: give a number from -2 to 2",
+    ),
 }
 
 

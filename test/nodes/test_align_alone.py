@@ -25,6 +25,7 @@ from socket_testbed.wire.topics import Topic
 
 START, STEP = 1_700_000_000_000_000_000, 10_000_000  # [ns]
 WRENCH = "geometry_msgs/msg/WrenchStamped"
+POSE = "geometry_msgs/msg/PoseStamped"
 OK, WARN, ERROR = 0, 1, 2
 
 
@@ -137,6 +138,72 @@ def test_stresses_go_out_as_capacitances(make: Maker) -> None:
     status = np.array([[[2] * 4, [0] * 4]], np.uint8)
     back, _ = node._calibration.stacked(("brim_lateral", "distal")).apply(values, status)
     np.testing.assert_allclose(back[0, 1], [12e3, 1e3, -2e3], rtol=1e-6)
+
+
+AHEAD = "socket pose: the stamps of /rig are 250 ms ahead of their arrival: synchronise the clocks"
+NOTHING = (
+    "pylon pose: nothing arrives on /limb: start its driver, or check the topic's name and the"
+    " ROS_DOMAIN_ID"
+)
+TYPE = "wrench: /ft is a std_msgs/msg/String: name a topic of type geometry_msgs/msg/Wrench"
+# How far the pose's stamps are ahead [s], other topics, what is wrong with /ft; level and text.
+STATES: dict[str, tuple[float, dict[str, str], str, tuple[int, str]]] = {
+    "all sound": (0.0, {}, "", (OK, "wrench at 100 Hz; socket pose at 100 Hz")),
+    "one early": (0.25, {}, "", (WARN, AHEAD)),
+    "early and silent": (
+        0.25, {"pylon_pose.topic": "/limb"}, "", (ERROR, f"{AHEAD}; {NOTHING}"),
+    ),
+    "of another type": (0.0, {}, TYPE, (ERROR, TYPE)),
+    "early and of another type": (0.25, {}, TYPE, (ERROR, f"{TYPE}; {AHEAD}")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", STATES)
+def test_the_node_tells_all_that_is_wrong(
+    case: str, make: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    early, more, wrong, expected = STATES[case]
+    names = {"wrench.topic": "/ft", "socket_pose.topic": "/rig", **more}
+    names |= {"pylon_pose.topic": "none"} if not more else {}
+    node = make(AlignNode, **names)
+    node._stopping.set()  # so that its thread does not look for publishers
+    node._aligning.join()
+    node._sources["wrench"].receive(wrenches(np.zeros(6)))
+    place = pose_fields(np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]))
+    sent = [
+        message(POSE, START + row * STEP, pose=place)._replace(
+            time=START + row * STEP - round(1e9 * early)
+        )
+        for row in range(101)
+    ]
+    node._sources["socket_pose"].receive(sent)
+    told: list[tuple[int, str]] = []
+    monkeypatch.setattr(node, "report", lambda level, text: told.append((level, text)))
+    monkeypatch.setattr(node, "_now", lambda: START + 100 * STEP)
+    monkeypatch.setattr(node._aligning, "is_alive", lambda: True)
+    node._wrong = {"wrench": wrong.removeprefix("wrench: ")}
+    node.check()
+    assert told == [expected]
+
+
+def test_a_node_that_stopped_aligning_says_so(make: Maker, monkeypatch: pytest.MonkeyPatch) -> None:
+    node = make(AlignNode, **{"wrench.topic": "/ft"})
+    node._stopping.set()
+    node._aligning.join()
+    told: list[tuple[int, str]] = []
+    monkeypatch.setattr(node, "report", lambda level, text: told.append((level, text)))
+    node.check()
+    assert told == [(ERROR, "it stopped aligning: see what it printed, and start it again")]
+
+
+def test_the_figures_name_their_sources(make: Maker) -> None:
+    """The period of a single trigger is not known, and so its window has one reading."""
+    node = make(AlignNode, **{"wrench.topic": "/ft", "pylon_pose.topic": "none"})
+    node._sources["wrench"].receive(wrenches(np.zeros(6)))
+    value_at(node, make, "load_cell/wrench")
+    found = node.figures()
+    assert (found["samples"], found["wrench_rate"], found["wrench_missing"]) == (1, 100.0, 0)
+    assert (found["wrench_late"], found["wrench_readings"]) == (0.0, 1)
 
 
 def test_a_wrench_that_there_is_not_is_missing(make: Maker) -> None:
