@@ -40,6 +40,7 @@ from socket_testbed.api.tradeoff import paper, pareto
 from socket_testbed.api.trials import annotate, check_data, open_trial, simulate
 from socket_testbed.api.validation import validate
 from socket_testbed.errors import TestbedError
+from socket_testbed.identification.contact import register_law
 from socket_testbed.results.calibration import CalibratedCluster
 from socket_testbed.results.comparison import Comparison
 from socket_testbed.results.cycles import Cycles

@@ -27,7 +27,7 @@ from socket_testbed.documents import (
 )
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import SOCKET_FILE, check_suffix, packaged
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.regions import all_regions, tiles_named
 from socket_testbed.geometry.socket import AREA_LIMITS, read_socket, write_socket
 from socket_testbed.results.calibration import CalibratedCluster
 from socket_testbed.results.result import PathLike
@@ -224,7 +224,7 @@ def tile(
     for name in keep_out:  # before any tile is laid
         is_tile = designs.TILE_NAME.fullmatch(name) is not None
         if name not in given_names and not is_tile:
-            designs.tiles_named(name, usual_regions)  # refuses an unknown region
+            tiles_named(name, usual_regions)  # refuses an unknown region
     kept = (
         read_socket(path_of(bodies, "the file"))
         if bodies

@@ -21,7 +21,7 @@ from socket_testbed.api.trials import (
 from socket_testbed.arrays import BoolArray, FloatArray, rms
 from socket_testbed.documents import check_whole
 from socket_testbed.errors import ConfigurationError, IdentificationError, naming
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.regions import all_regions, tiles_named
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
 from socket_testbed.identification.survey import Donned
@@ -29,7 +29,6 @@ from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.settings.options import SurveyOptions
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.socket_design.design import tiles_named
 from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
 
