@@ -283,6 +283,8 @@ def _type_name(expected: Any) -> str:
     """The name of a type in a hint."""
     if isinstance(expected, _NUMBER_TYPES):
         return _number_within(isinstance(expected, inspect.IntType), expected.ge, expected.le)
+    if isinstance(expected, inspect.LiteralType):
+        return " or ".join(map(str, expected.values))
     if isinstance(expected, inspect.TupleType):
         below = expected.item_types[0]
         inner = f" lists of {len(below.item_types)}" if isinstance(below, type(expected)) else ""

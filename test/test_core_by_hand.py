@@ -137,6 +137,7 @@ def test_a_table_has_one_of_three_formats(tmp_path: Path) -> None:
 
 TIMES = Annotated[float, Meta(ge=0.5, le=20.0, description="how long [s]")]
 OPEN_ENDED = Annotated[float, Meta(ge=2.0, le=documents.FINITE)]
+TENS = Annotated[float, Meta(ge=1.0, le=10.0)]
 AT_MOST = Annotated[int, Meta(le=3)]
 
 
@@ -161,6 +162,8 @@ AT_MOST = Annotated[int, Meta(le=3)]
         (int | None, "a", "x is 'a': give a whole number that is finite"),
         (float | str, [], "x is a list of 0: give a text, in quotes"),
         (Literal["a", "bcd"], "bce", "x is 'bce': did you mean 'bcd'?"),
+        (TENS | Literal["auto"], "c", "x is 'c': give a number from 1 to 10 or auto"),
+        (Literal["a", "b"] | int, 1.5, "x is 1.5: give a or b or a whole number that is finite"),
         (Annotated[list[int], Meta(min_length=2, max_length=2)], [1], "give a list of 2"),
         (Annotated[list[int], Meta(min_length=2, max_length=4)], [1], "give a list of 2 to 4"),
         (int, {"a": 1}, "x is a mapping: give a whole number"),

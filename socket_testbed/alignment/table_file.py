@@ -13,7 +13,7 @@ from socket_testbed.alignment.units import WRITTEN, common_factor
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.cells import TextTable, read_text_table, split_title
 from socket_testbed.documents import read_text
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, listed
 
 MAX_FILE_SIZE = 2**29  # [bytes]
 _SECOND = 1_000_000_000  # [ns]
@@ -162,8 +162,7 @@ def shown_titles(table: TextTable, most: int = 12) -> str:
         table: The table.
         most: Number of titles to show; the others are only counted.
     """
-    titles = [f"'{title}'" for title in table.titles if title]
-    return ", ".join(titles[:most]) + (f" and {len(titles) - most} more" * (len(titles) > most))
+    return listed([f"'{title}'" for title in table.titles if title], most)
 
 
 def time_columns(table: TextTable, stated: TableFormat) -> list[int]:

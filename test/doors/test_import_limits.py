@@ -72,3 +72,44 @@ def test_a_wrong_option_has_this_line(case: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as caught:
         st.import_trial(tmp_path / "bag", tmp_path / "trial", **options)
     assert str(caught.value) == line
+
+
+MAPPINGS = {
+    "delay": (
+        "wrench: {delay: -10.1}", "wrench: delay is -10.1: give a number from -10 to 10 or auto",
+    ),
+    "delay in words": (
+        "wrench: {delay: soon}", "wrench: delay is 'soon': give a number from -10 to 10 or auto",
+    ),
+    "offset": (
+        "clusters: {offset: 1.1e+7}",
+        "clusters: offset is 11000000.0: give a number from -1e+07 to 1e+07 or tap",
+    ),
+    "row rate": (
+        "wrench: {row_rate: 0.09}",
+        "wrench: row_rate is 0.09: give a number from 0.1 to 20000",
+    ),
+    "rate": ("rate: 1001", "rate is 1001: give a number from 0.1 to 1000"),
+    "of whom": ("wrench: {of: sockets}", "wrench: of is 'sockets': did you mean 'socket'?"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MAPPINGS)
+def test_a_wrong_mapping_has_this_line(case: str, tmp_path: Path) -> None:
+    text, line = MAPPINGS[case]
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text(text)
+    assert imported(tmp_path, mapping=mapping) == f"{mapping}: {line}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("wrench: {delay: -10}", "wrench: {delay: 10}", "wrench: {delay: auto}"),
+        *("wrench: {row_rate: 0.1}", "wrench: {row_rate: 20000}", "rate: 0.1", "rate: 1000"),
+    ],
+)
+def test_a_mapping_s_limits_are_within(text: str, tmp_path: Path) -> None:
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text(text)
+    assert str(tmp_path / "bag") in imported(tmp_path, mapping=mapping)

@@ -105,13 +105,6 @@ def test_the_tables_stay_in_the_trial(tmp_path: Path) -> None:
     assert record["pylon_pose"]["topic"] == "take.csv:Pylon"
 
 
-def test_clocks_of_their_own_need_offsets(tmp_path: Path) -> None:
-    with refused(ConfigurationError, "take.csv has a clock of its own", "--offset socket_pose=S"):
-        opened(tmp_path, *three(tmp_path))
-    with refused(ConfigurationError, "caps.csv", "--offset clusters=S"):
-        opened(tmp_path, *three(tmp_path), offset=["socket_pose=3"])
-
-
 def test_dated_tables_need_no_offset(tmp_path: Path) -> None:
     cell_file = cell(tmp_path / "cell.csv", 1_714_910_400.0)
     caps_file = capacitances(tmp_path / "caps.csv", 1_714_910_400_000)
@@ -220,8 +213,6 @@ def test_a_table_that_is_too_short(tmp_path: Path) -> None:
 
 def test_bodies_are_named_where_names_do_not_tell(tmp_path: Path) -> None:
     file = take(tmp_path / "take.csv", "A", "B")
-    with refused(TrialError, "cannot tell whose pose A, B is", "--socket-pose take.csv:BODY"):
-        opened(tmp_path, file)
     trial, _ = opened(tmp_path, file, socket_pose="A", pylon_pose="take.csv:B")
     measured = trial.measurements()
     np.testing.assert_allclose(measured.socket[4], [0.1, 0.2, 0.3, 0, 0, 0.6, 0.8], atol=1e-6)
@@ -245,33 +236,150 @@ def test_markers_are_fitted_to_the_socket(tmp_path: Path) -> None:
     assert any("'Limb' is fitted to the markers of socket.yaml" in note for note in notes)
 
 
+SPAN = "give seconds as T0:T1, the earlier first, such as 12.5:60"
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "another source": ({"offset": ["cell=1"]}, "offset names 'cell'"),
-    "no number": ({"offset": ["clusters=soon"]}, "the offset of clusters is 'soon'"),
-    "no file": ({"wrench": "ati.csv"}, "ati.csv of --wrench is none of the tables"),
-    "no body": ({"socket_pose": "take.csv:Shank"}, "has no body or marker 'Shank'"),
-    "a topic": ({"trigger": "/trigger"}, "tables hold no topic"),
-    "no title": ({"columns": {"Fx": "Ch1"}}, "no column is called 'Ch1'"),
-    "no column": ({"columns": {"force": "Fx"}}, "columns names 'force'"),
-    "no unit": ({"units": {"force": "V"}}, "'V' is no unit of force"),
-    "no quantity": ({"units": {"forces": "N"}}, "units names 'forces'"),
-    "a tap for nothing": ({"tap": "0:5"}, "--tap is given"),
-    "a tap that ends early": ({"tap": (5, 1)}, "--tap is '5:1'"),
-    "one number of a tap": ({"tap": 5}, "--tap is '5'"),
+    "another source": (
+        {"offset": ["cell=1"]},
+        "offset names 'cell': use one of clusters, pylon_pose, socket_pose, wrench",
+    ),
+    "no file": (
+        {"wrench": "cel.csv"},
+        "cel.csv of --wrench is none of the tables: did you mean 'cell.csv'?",
+    ),
+    "no body": (
+        {"socket_pose": "take.csv:Shank"},
+        "take.csv: has no body or marker 'Shank': use one of Pylon, Socket, extra",
+    ),
+    "a topic": (
+        {"trigger": "/trigger"},
+        "tables hold no topic for --trigger: give --rate instead",
+    ),
+    "no title": (
+        {"columns": {"Fx": "Ch1"}},
+        "no column is called 'Ch1', named for Fx, in cell.csv, caps.csv: check its title",
+    ),
+    "no column": (
+        {"columns": {"force": "Fx"}},
+        "columns names 'force': name time, Fx to Mz, or a channel such as distal.0",
+    ),
+    "no unit": (
+        {"units": {"force": "V"}},
+        "'V' is no unit of force: use one of N, newton, newtons, kN, mN, lbf, lb, lbs, kgf",
+    ),
+    "no quantity": ({"units": {"forces": "N"}}, "units names 'forces': did you mean 'force'?"),
+    "a tap for nothing": (
+        {"tap": "0:5"},
+        "--tap is given, and no offset is to be found from a tap: give --offset SOURCE=tap too, or"
+        " leave it out",
+    ),
+    "a tap that ends early": ({"tap": (5, 1)}, f"--tap is '5:1': {SPAN}"),
+    "one number of a tap": ({"tap": 5}, f"--tap is '5': {SPAN}"),
     "two offsets": (
         {"offset": {"socket_pose": 3, "pylon_pose": 4, "clusters": -4}},
-        "take.csv has one clock",
+        "take.csv has one clock, and the offsets 3, 4 s: state one offset for its sources",
     ),
-    "one left over": ({"wrench": "none", "offset": OFFSETS}, "cell.csv: is none of the sources"),
+    "no offset of a take": (
+        {"offset": {}},
+        "take.csv has a clock of its own: state what to add to its times with --offset"
+        " socket_pose=S, counted as those of cell.csv, or S=tap if both see a tap",
+    ),
+    "no offset": (
+        {"offset": {"socket_pose": 3}},
+        "caps.csv has a clock of its own: state what to add to its times with --offset clusters=S,"
+        " counted as those of cell.csv, or S=tap if both see a tap",
+    ),
+    "one left over": (
+        {"wrench": "none", "offset": OFFSETS},
+        "cell.csv: is none of the sources (it has 'Time (s)', 'Fx (N)', 'Fy (N)', 'Fz (N)',"
+        " 'Mx (N mm)', 'My (N mm)', 'Mz (N mm)'): state what it is, such as --wrench cell.csv, or"
+        " leave it out",
+    ),
+    "a take of clusters": (
+        {"clusters": "take.csv", "offset": OFFSETS},
+        "caps.csv: is none of the sources (it has 'time [ms]', 'brim_lateral.0 [pF]',"
+        " 'brim_lateral.1 [pF]', 'brim_lateral.2 [pF]', 'brim_lateral.3 [pF]', 'distal.0 [pF]',"
+        " 'distal.1 [pF]', 'distal.2 [pF]', 'distal.3 [pF]'): state what it is, such as --wrench"
+        " caps.csv, or leave it out",
+    ),
 }
 
 
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_wrong_option_for_tables(tmp_path: Path, kind: str) -> None:
-    options, fact = WRONG[kind]
-    with refused(st.TestbedError, fact):
+    options, line = WRONG[kind]
+    with pytest.raises(st.TestbedError) as caught:
         opened(tmp_path, *three(tmp_path), **{"offset": OFFSETS, **options})
+    assert str(caught.value) == line
     assert not (tmp_path / "trial").exists()
+
+
+UNCLEAR: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
+    "two load cells": (
+        ("cell.csv", "cell2.csv"),
+        {},
+        "cell.csv, cell2.csv may each be the wrench: choose with --wrench FILE, or leave it out"
+        " with --wrench none",
+    ),
+    "two bodies": (
+        ("A", "B"),
+        {},
+        "take.csv: cannot tell whose pose A, B is: state it with --socket-pose take.csv:BODY and"
+        " --pylon-pose take.csv:BODY, or none instead of a body",
+    ),
+    "the other body": (
+        ("A", "B"),
+        {"socket_pose": "A"},
+        "take.csv: cannot tell whose pose B is: state it with --pylon-pose take.csv:BODY, or none"
+        " instead of a body",
+    ),
+    "a file of two": (
+        ("A", "B"),
+        {"socket_pose": "take.csv"},
+        "take.csv: cannot tell which body is the socket pose (it has A, B): name it with"
+        " --socket-pose take.csv:BODY",
+    ),
+    "two sockets": (
+        ("Socket", "Socket 2", "Pylon"),
+        {},
+        "take.csv: Socket, Socket 2 may each be the socket pose: choose with --socket-pose"
+        " take.csv:BODY",
+    ),
+    "a take of forces": (
+        ("Socket", "Pylon"),
+        {"wrench": "take.csv"},
+        "take.csv: is a take of motion capture, not the wrench: name another file with --wrench",
+    ),
+    "no poses": (
+        ("cell.csv",),
+        {"socket_pose": "cell.csv"},
+        "cell.csv: holds no poses, for --socket-pose: export a take with its header, or columns"
+        " such as 'socket.x [m]' to 'socket.qw'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNCLEAR)
+def test_what_is_what_is_asked_for(case: str, tmp_path: Path) -> None:
+    names, options, line = UNCLEAR[case]
+    files = [cell(tmp_path / name) for name in names if name.endswith(".csv")]
+    with pytest.raises(st.TestbedError) as caught:
+        opened(tmp_path, *(files or [take(tmp_path / "take.csv", *names)]), **options)
+    assert str(caught.value) == line
+
+
+def test_tables_are_noted_with_rates_and_clocks(tmp_path: Path) -> None:
+    _, notes = opened(tmp_path, *three(tmp_path), offset=OFFSETS)
+    of_motive = "is that of Motive's rigid body: socket.yaml must state its place"
+    assert notes == [
+        "clocks: cell.csv +0 s (reference), take.csv +3 s (stated), caps.csv -4 s (stated)",
+        "cell.csv tells no date: the trial's times count from 2000-01-01",
+        "wrench: cell.csv (table, 201 readings at 100 Hz)",
+        "socket pose: take.csv:Socket (Motive take, 241 readings at 120 Hz, frame world)",
+        f"take.csv: the pose of 'Socket' {of_motive}",
+        "pylon pose: take.csv:Pylon (Motive take, 241 readings at 120 Hz, frame world)",
+        f"take.csv: the pose of 'Pylon' {of_motive}",
+        "clusters: caps.csv (table, 41 readings at 20 Hz)",
+    ]
 
 
 def test_tables_are_not_mixed_with_bags(tmp_path: Path) -> None:
@@ -299,12 +407,6 @@ def test_a_file_that_is_nothing(tmp_path: Path) -> None:
     other.write_text("time [s],EMG1 [mV],EMG2 [mV]\n0,1,2\n1,2,3\n")
     with refused(TrialError, "emg.csv: is none of the sources", "'EMG1 [mV]'"):
         opened(tmp_path, cell(tmp_path / "cell.csv"), other)
-
-
-def test_two_load_cells(tmp_path: Path) -> None:
-    files = cell(tmp_path / "a.csv"), cell(tmp_path / "b.csv")
-    with refused(TrialError, "a.csv, b.csv may each be the wrench", "--wrench FILE"):
-        opened(tmp_path, *files)
 
 
 def tapped(path: Path, start: float, rate: float, size: float, what: str) -> Path:
