@@ -72,10 +72,12 @@ def import_trial(
             capacitances or stresses, and takes of motion capture, which their columns tell apart.
         path: Folder of the new trial.
         wrench: Topic or table of the load cell's wrench, or none (default: found by its type).
-        socket_pose: Topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform,
-            FILE:BODY of a take, or none (default: found by type and name).
-        pylon_pose: Topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform,
-            FILE:BODY of a take, or none (default: found by type and name).
+        socket_pose: Topic of the pose of the socket's marker body, TOPIC:BODY for one of rigid
+            bodies, tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by
+            type and name).
+        pylon_pose: Topic of the pose of the pylon's marker body, TOPIC:BODY for one of rigid
+            bodies, tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by
+            type and name).
         clusters: Topic or table of the clusters' capacitances or stresses, or none (default: found
             by type and name).
         names: Clusters of an array or table without names, in its order, four capacitances each.

@@ -259,10 +259,13 @@ class StreamedSource:
         topic, (fault, noted) = self.settings.topic, self._fault
         if fault and now - noted < RECENT * _SECOND:
             yield ERROR, fault
+        silence = _silence(self._heard, now, self.rate)
+        if silence and self._reader.lacking:
+            yield ERROR, f"{self.name}: {self._reader.lacking}"
         if not self._heard:
             hint = "start its driver, or check the topic's name and the ROS_DOMAIN_ID"
             yield ERROR, f"{self.name}: nothing arrives on {topic}: {hint}"
-        if silence := _silence(self._heard, now, self.rate):
+        if silence:
             yield ERROR, f"{self.name}: {topic} is {silence}: check its driver"
         if self._lacked and now - self._lacked < RECENT * _SECOND:
             yield WARN, self._lack()
@@ -537,16 +540,17 @@ def check_sources(settings: AlignSettings, namespace: str = "/") -> None:
     for name, own in settings.sources.items():
         if not own.is_foreign:
             continue
+        topic, body = foreign.topic_and_body(own.topic)
         if own.topic.startswith(foreign.TRANSFORM):
             parent, _, child = own.topic.removeprefix(foreign.TRANSFORM).strip("/").partition("/")
             if not name.endswith("pose") or not parent or not child:
                 fact = f"align_node: {name}.topic is '{own.topic}'"
                 raise ConfigurationError(fact, "give a topic, or for a pose tf:PARENT/CHILD")
-        elif not _TOPIC.fullmatch(own.topic):
+        elif not _TOPIC.fullmatch(topic) or (body and not name.endswith("pose")):
             fact = f"align_node: {name}.topic is '{own.topic}', which is no name of a topic"
             raise ConfigurationError(fact, "give one such as /ft_sensor/wrench")
         else:
-            refuse_own_topic(own.topic, f"align_node: {name}.topic", namespace)
+            refuse_own_topic(topic, f"align_node: {name}.topic", namespace)
         if (other := named.setdefault(own.topic.strip("/"), name)) != name:
             fact = f"align_node: {other}.topic and {name}.topic are both {own.topic}"
             raise ConfigurationError(fact, "give each source a topic of its own")
@@ -559,9 +563,9 @@ def foreign_topics(settings: AlignSettings, trigger: str = "") -> tuple[str, ...
         settings: The sources.
         trigger: Topic whose messages are the triggers; empty for none.
     """
-    named = [own.topic for own in settings.sources.values() if own.is_foreign]
-    named += [trigger] if trigger else []
-    return tuple(dict.fromkeys("/tf" if t.startswith(foreign.TRANSFORM) else t for t in named))
+    own = [own.topic for own in settings.sources.values() if own.is_foreign]
+    named = [foreign.topic_and_body(name)[0] for name in own]
+    return tuple(dict.fromkeys([*named, trigger] if trigger else named))
 
 
 def absent_topics(settings: AlignSettings) -> tuple[topics.Topic, ...]:

@@ -173,7 +173,6 @@ class TriggerNode(TestbedNode[TriggerSettings]):
     def _follow_topic(self, stream: TriggerStream) -> None:
         """Publish a trigger with each message of another program, until the node closes."""
         from socket_testbed.nodes.foreign_topics import ForeignTopic
-        from socket_testbed.trials.bag import RawMessage
         from socket_testbed.trials.foreign import TRIGGERS
 
         inbox = Inbox(self.get_name(), self.get_namespace(), {})
@@ -183,8 +182,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         while not self._stopping.wait(clocks.real(_TAKE_PERIOD)):
             if (now := clocks.monotonic()) >= look:
                 look, self._wrong = now + _LOOK_PERIOD, topic.look()
-            taken = topic.take(self._epoch.now)
-            for stamp in stream.receive([RawMessage(name, topic.type, *own) for own in taken]):
+            for stamp in stream.receive(topic.take(self._epoch.now)):
                 if self._enabled.is_set():
                     self._sequence += 1
                     self._own.append(stamp)

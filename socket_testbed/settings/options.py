@@ -466,14 +466,16 @@ class ImportOptions(Options):
     )
     socket_pose: str | None = option(
         None,
-        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
-        " of a take, or none (default: found by type and name)",
+        "topic of the pose of the socket's marker body, TOPIC:BODY for one of rigid bodies,"
+        " tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by type and"
+        " name)",
         metavar="TOPIC",
     )
     pylon_pose: str | None = option(
         None,
-        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
-        " of a take, or none (default: found by type and name)",
+        "topic of the pose of the pylon's marker body, TOPIC:BODY for one of rigid bodies,"
+        " tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by type and"
+        " name)",
         metavar="TOPIC",
     )
     clusters: str | None = option(

@@ -39,8 +39,8 @@ class SourceDocument(Document):
     """A source in a mapping file.
 
     Attributes:
-        topic: Its topic, `tf:PARENT/CHILD` for a pose, the file of its table, `FILE:BODY` for a
-            body of a take, or `none`; None to find it.
+        topic: Its topic, `TOPIC:BODY` or `tf:PARENT/CHILD` for a pose, the file of its table,
+            `FILE:BODY` for a body of a take, or `none`; None to find it.
         delay: Delay of its stamps behind the measurement [s]; `auto` to find it against the load.
         offset: What is added to the times of its table, see `Offset` [s], or `tap` to find it from
             a tap; None for a topic, and for a table whose offset follows from others.
@@ -169,7 +169,7 @@ def write_imported_trial(
     """
     check_new_folder(path)
     make_folder(path.parent)
-    types = {message.topic: message.type for message in originals}
+    types = {message.topic: (message.type, message.definition) for message in originals}
     kept = {name: original_name(name) for name in types}
     entries = [(message.time, kept[message.topic], message.data) for message in originals]
     own = [topics.TRIGGER, topics.WRENCH, topics.CAPACITANCE]
@@ -193,8 +193,8 @@ def write_imported_trial(
         with BagWriter(staging) as bag:
             for topic in [*own, *poses]:
                 bag.add_topic(f"/{topic.name}", topic)
-            for name, kind in types.items():
-                bag.add_topic(kept[name], topics.Topic(kept[name], kind))
+            for name, (kind, definition) in types.items():
+                bag.add_topic(kept[name], topics.Topic(kept[name], kind), definition)
             for time, name, data in entries:
                 bag.write(name, time, data)
         record_text = _HEADER + dump_yaml(dict(record))

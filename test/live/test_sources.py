@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support.foreign import header, pose_fields, vector, wrench_fields
+from support.rigid_bodies import Body
+from support.rigid_bodies import message as bodies_message
 from support.wording import refused
 
 from socket_testbed.alignment.align import Aligned, align
@@ -42,6 +44,7 @@ OK, WARN, ERROR = 0, 1, 2
 START, SECOND = 1_700_000_000_000_000_000, 1_000_000_000  # [ns]
 NAMES = ("brim_lateral", "distal")
 PERIOD = 0.25  # [s]; of the trigger
+LOST = [0.0] * 7  # pose of a body that is not tracked
 
 Fields = dict[str, Any]
 
@@ -219,6 +222,49 @@ def test_other_transforms_are_no_sign_of_life() -> None:
     source.receive([transforms(START, "camera")])
     level, text = source.health(START)
     assert level == ERROR and text.startswith("socket pose: nothing arrives on tf:world/rig: ")
+
+
+def of_a_body() -> StreamedSource:
+    return StreamedSource("socket_pose", LiveSourceSettings(topic="/rigid_bodies:rig"))
+
+
+def test_a_body_is_found_while_its_markers_change() -> None:
+    source, times = of_a_body(), every(100.0, 2.0)
+    for row, time in enumerate(times):
+        body = Body("rig", [1e-4 * row, 0.2, 0.3, 0.0, 0.0, 0.6, 0.8], row % 4)
+        source.receive([bodies_message("present", time, [Body("table", LOST), body])])
+    source.trigger(times[100])
+    ((_, value),) = source.due(times[-1], PERIOD, 0.3)
+    assert value is not None and value.values[0, :3].tolist() == pytest.approx([0.01, 0.2, 0.3])
+    assert source.health(times[-1]) == (OK, "socket pose at 100 Hz") and source.frame == "map"
+
+
+LACKING = {
+    "another": (
+        [Body("table", LOST)],
+        "socket pose: /rigid_bodies: no body is called rig (there are: table): name one of them",
+    ),
+    "lost": (
+        [Body("rig", LOST)],
+        "socket pose: /rigid_bodies: the body rig is not tracked: bring its markers into view",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LACKING)
+def test_a_body_that_is_not_there_is_named(case: str) -> None:
+    """At once without any reading of it, and after a second of silence."""
+    sent, words = LACKING[case]
+    source = of_a_body()
+    source.receive([bodies_message("first", START, sent)])
+    level, text = source.health(START)
+    assert level == ERROR and text.startswith(words)
+    source.receive([bodies_message("first", START, [Body("rig", [1.0, *LOST[1:6], 1.0])])])
+    assert source.health(START) == (OK, "socket pose heard")
+    source.receive([bodies_message("first", START + SECOND, sent)])
+    assert source.health(START + SECOND)[0] == OK
+    level, text = source.health(START + SECOND + 1)
+    assert level == ERROR and text.startswith(words)
 
 
 @pytest.mark.parametrize(
@@ -405,6 +451,10 @@ WRONG: dict[str, tuple[Fields, str]] = {
         {"wrench": LiveWrenchSettings(topic="/ft sensor")},
         "align_node: wrench.topic is '/ft sensor', which is no name of a topic: give one such",
     ),
+    "a body": (
+        {"wrench": LiveWrenchSettings(topic="/ft:rig")},
+        "align_node: wrench.topic is '/ft:rig', which is no name of a topic: give one such",
+    ),
     "our own": (
         {"wrench": LiveWrenchSettings(topic="load_cell/wrench")},
         "align_node: wrench.topic is load_cell/wrench, which the testbed publishes itself: give",
@@ -443,6 +493,15 @@ def test_topics_to_record_are_those_of_other_drivers() -> None:
     check_sources(settings)
     assert foreign_topics(settings) == ("/ft", "/tf")
     assert absent_topics(settings) == (topics.PYLON_POSE,)
+
+
+def test_two_bodies_share_a_recorded_topic() -> None:
+    settings = AlignSettings(
+        socket_pose=LiveSourceSettings(topic="rigid_bodies:socket"),
+        pylon_pose=LiveSourceSettings(topic="rigid_bodies:limb"),
+    )
+    check_sources(settings)
+    assert foreign_topics(settings, "/sync") == ("rigid_bodies", "/sync")
 
 
 def test_a_wrench_is_turned_into_the_load_cell_s_frame() -> None:
