@@ -466,14 +466,16 @@ class ImportOptions(Options):
     )
     socket_pose: str | None = option(
         None,
-        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
-        " of a take, or none (default: found by type and name)",
+        "topic of the pose of the socket's marker body, TOPIC:BODY for one of rigid bodies,"
+        " tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by type and"
+        " name)",
         metavar="TOPIC",
     )
     pylon_pose: str | None = option(
         None,
-        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
-        " of a take, or none (default: found by type and name)",
+        "topic of the pose of the pylon's marker body, TOPIC:BODY for one of rigid bodies,"
+        " tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by type and"
+        " name)",
         metavar="TOPIC",
     )
     clusters: str | None = option(
@@ -533,7 +535,16 @@ class ImportOptions(Options):
         metavar="T0:T1",
     )
     mapping: Path | None = option(
-        None, "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}"
+        None,
+        "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}",
+        either="mapping",
+    )
+    like: Path | None = option(
+        None,
+        "an imported trial, whose mapping, socket and calibration are used again; other options"
+        " replace its own",
+        metavar="TRIAL",
+        either="mapping",
     )
     geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
     calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")

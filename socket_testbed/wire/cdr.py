@@ -5,14 +5,16 @@ offset. A `Layout` is derived from one such message; it then reads many of them 
 building message objects. A message has the layout if all bytes that are neither numbers nor
 padding equal those of the first message.
 
-The types are those of the rosbags library and of this testbed. The encoding is plain CDR, big or
-little endian (OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from the end
-of the four-byte encapsulation header.
+The types are those of the rosbags library and of this testbed; any other needs its definition, the
+text of its `.msg` file and of those that it names. The encoding is plain CDR, big or little endian
+(OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from the end of the
+four-byte encapsulation header.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import compress
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -50,17 +52,86 @@ def typestore() -> Typestore:
     return store
 
 
-def decode(raw: bytes | memoryview, message_type: str) -> Any:
+@cache
+def types_of(message_type: str, definition: str = "") -> Typestore:
+    """The types that a message consists of.
+
+    Args:
+        message_type: Its type, as `package/msg/Type`.
+        definition: Its definition, for a type that `typestore` does not hold.
+
+    Raises:
+        ValueError: If such a type has no definition, or one that cannot be read.
+    """
+    known = typestore()
+    if message_type in known.fielddefs:
+        return known
+    if not definition:
+        raise ValueError(f"the definition of {message_type} is not known")
+    store = Typestore()
+    store.fielddefs |= known.fielddefs
+    store.types |= known.types
+    try:
+        store.register(get_types_from_msg(definition, message_type))
+        store.get_msgdef(message_type)
+    except Exception:  # the library may raise any exception
+        raise ValueError(f"the definition of {message_type} cannot be read") from None
+    return store
+
+
+_NAMES_IN_CLASSES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
+_ARRAY = re.compile(
+    r"(?:sequence<(?P<many>.+?)(?:, (?P<most>\d+))?>|(?P<some>.+)\[(?P<count>\d+)\])"
+)
+
+
+def define(message_type: str, class_of: Callable[[str], Any]) -> str:
+    """The definition of a message type that ROS has as classes.
+
+    Args:
+        message_type: The type, as `package/msg/Type`.
+        class_of: Returns the class of a type, which states its fields as those of rosidl do.
+
+    Returns:
+        The definition with all types that it names; empty for a type that `typestore` holds.
+    """
+    known, left = {*typestore().fielddefs}, [message_type]
+    text = ""
+    for name in left:  # which grows
+        if name in known:
+            continue
+        known.add(name)
+        if text:
+            text += f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n"
+        for field, described in class_of(name).get_fields_and_field_types().items():
+            kind = _as_written(described)
+            text += f"{kind} {field}\n"
+            package, slash, nested = kind.partition("[")[0].partition("/")
+            if slash:
+                left.append(f"{package}/msg/{nested}")
+    return text
+
+
+def _as_written(described: str) -> str:
+    """A field's type as in a `.msg` file, such as `float64[3]` of a class's `double[3]`."""
+    if found := _ARRAY.fullmatch(described):
+        most = f"<={found['most']}" if found["most"] else ""
+        return f"{_as_written(found['many'] or found['some'])}[{found['count'] or most}]"
+    return _NAMES_IN_CLASSES.get(described, described.replace("string<", "string<=").rstrip(">"))
+
+
+def decode(raw: bytes | memoryview, message_type: str, definition: str = "") -> Any:
     """Deserialise a message.
 
     Args:
         raw: The message, serialised (CDR).
         message_type: Its type, as `package/msg/Type`.
+        definition: Its definition, see `types_of`.
 
     Returns:
         The message as an object of rosbags, with the fields of its type as attributes.
     """
-    return typestore().deserialize_cdr(raw, message_type)
+    return types_of(message_type, definition).deserialize_cdr(raw, message_type)
 
 
 def encode(message: Any, message_type: str) -> bytes:
