@@ -34,6 +34,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.survey import Donned, Field, Interval, JudgedPoint, Judgements
+from socket_testbed.identification.survey_prior import FORMAT, SurveyPrior, learnt
 from socket_testbed.identification.validation import LEVELS
 from socket_testbed.results.result import PathLike, Result, records
 from socket_testbed.settings.options import Side, SurveyOptions
@@ -78,6 +79,7 @@ class Survey(Result):
         single: Each trial's own map, in the tiles' frames.
         completed: The map of each trial from all trials.
         limb: The map of what all donnings share.
+        learnt: What serves as the prior of the next trial, see `st.pressure`.
         next_tiles: Names of the tiles where the next trial's clusters tell most.
         next_error: Expected error of the limb's map after that trial over the one before it [-].
         side: The leg that wears the socket; None if it is not stated or differs between trials.
@@ -97,6 +99,7 @@ class Survey(Result):
     single: tuple[Field, ...]
     completed: tuple[Field, ...]
     limb: Field
+    learnt: SurveyPrior
     next_tiles: tuple[str, ...]
     next_error: float
     side: Side | None = None
@@ -300,7 +303,8 @@ class Survey(Result):
             under each cluster); `states` and `mismatch [-]`; `error [-]`, `completed error [-]` and
             `explained [-]`, each with `value`, `low` and `high`; `repeated [-]` and the number of
             `repeats`; `change [-]`; `next` (`tiles`, `error [-]`); `scores` as in `scores()`,
-            `judged` as in `to_dataframe()`, `tiles` as in `pressures()`.
+            `judged` as in `to_dataframe()`, `tiles` as in `pressures()`; `format`, and `prior`,
+            what another trial takes as its prior: see `survey_prior`.
         """
         found = self.judgements
         tables = {
@@ -308,6 +312,7 @@ class Survey(Result):
             for name, table in (("scores", self.scores()), ("tiles", self.pressures()))
         }
         return {
+            "format": FORMAT,
             "verdict": self.verdict,
             "conclusions": self.conclusions(),
             "notes": list(self.notes),
@@ -329,6 +334,7 @@ class Survey(Result):
             "scores": tables["scores"],
             "judged": records(self.to_dataframe()),
             "tiles": tables["tiles"],
+            "prior": self.learnt.document(),
         }
 
     def _figure(self, style: FigureStyle) -> Figure:
@@ -479,6 +485,12 @@ def survey(
         single=tuple(each.field(0) for each in own),
         completed=tuple(joint.field(number) for number in range(len(donned))),
         limb=joint.field(),
+        learnt=learnt(
+            joint,
+            geometry,
+            [(n, t.fingerprint, [*p.places]) for n, t, p in zip(names, opened, parts, strict=True)],
+            donned,
+        ),
         next_tiles=tuple(geometry.names[tile] for tile in tiles.tolist()),
         next_error=gain if wanted else float("nan"),
         side=sides.pop() if len(sides) == 1 else None,
