@@ -25,6 +25,7 @@ from socket_testbed.geometry.regions import all_regions, tiles_named
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
 from socket_testbed.identification.survey import Donned
+from socket_testbed.identification.survey_prior import learnt
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.settings.options import SurveyOptions
@@ -147,6 +148,12 @@ def survey(
         single=tuple(each.field(0) for each in own),
         completed=tuple(joint.field(number) for number in range(len(donned))),
         limb=joint.field(),
+        learnt=learnt(
+            joint,
+            geometry,
+            [(n, t.fingerprint, [*p.places]) for n, t, p in zip(names, opened, parts, strict=True)],
+            donned,
+        ),
         next_tiles=tuple(geometry.names[tile] for tile in tiles.tolist()),
         next_error=gain if wanted else float("nan"),
         side=sides.pop() if len(sides) == 1 else None,

@@ -457,7 +457,9 @@ class Survey(
         "a socket.yaml for each trial, in their order, instead of their own: where its clusters are"
     )
     output: Path | None = option(
-        None, "a page (.html), or a table (.csv, .parquet) of the judged values"
+        None,
+        "a page (.html), a table (.csv, .parquet) of the judged values, or the survey (.json) as"
+        " the --prior of the next trial",
     )
     figure: Path | None = option(None, "draw each trial's own map and the completed one")
 

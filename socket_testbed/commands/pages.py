@@ -163,7 +163,8 @@ def survey(call: calls.Survey) -> None:
     """Judge and complete the map of one limb by trials with moved clusters."""
     output = call.output
     page = output if output and output.suffix.lower() in PAGES else None
-    check_files(output, call.figure, replace=call.replace, table=page is None)
+    kept = output is not None and output.suffix.lower() == ".json"
+    check_files(output, call.figure, replace=call.replace, table=page is None and not kept)
     trials = _surveyed(call)
     for each in open_surveyed(trials):  # wrong calls fail before data is read
         report_data(each, leave_out=left_out(each, call))

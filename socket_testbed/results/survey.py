@@ -17,6 +17,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.survey import Field, Interval, JudgedPoint, Judgements
+from socket_testbed.identification.survey_prior import FORMAT, SurveyPrior
 from socket_testbed.identification.validation import LEVELS
 from socket_testbed.results.result import Result, records
 from socket_testbed.settings.options import Side
@@ -54,6 +55,7 @@ class Survey(Result):
         single: Each trial's own map, in the tiles' frames.
         completed: The map of each trial from all trials.
         limb: The map of what all donnings share.
+        learnt: What serves as the prior of the next trial, see `st.pressure`.
         next_tiles: Names of the tiles where the next trial's clusters tell most.
         next_error: Expected error of the limb's map after that trial over the one before it [-].
         side: The leg that wears the socket; None if it is not stated or differs between trials.
@@ -73,6 +75,7 @@ class Survey(Result):
     single: tuple[Field, ...]
     completed: tuple[Field, ...]
     limb: Field
+    learnt: SurveyPrior
     next_tiles: tuple[str, ...]
     next_error: float
     side: Side | None = None
@@ -276,7 +279,8 @@ class Survey(Result):
             under each cluster); `states` and `mismatch [-]`; `error [-]`, `completed error [-]` and
             `explained [-]`, each with `value`, `low` and `high`; `repeated [-]` and the number of
             `repeats`; `change [-]`; `next` (`tiles`, `error [-]`); `scores` as in `scores()`,
-            `judged` as in `to_dataframe()`, `tiles` as in `pressures()`.
+            `judged` as in `to_dataframe()`, `tiles` as in `pressures()`; `format`, and `prior`,
+            what another trial takes as its prior: see `survey_prior`.
         """
         found = self.judgements
         tables = {
@@ -284,6 +288,7 @@ class Survey(Result):
             for name, table in (("scores", self.scores()), ("tiles", self.pressures()))
         }
         return {
+            "format": FORMAT,
             "verdict": self.verdict,
             "conclusions": self.conclusions(),
             "notes": list(self.notes),
@@ -305,6 +310,7 @@ class Survey(Result):
             "scores": tables["scores"],
             "judged": records(self.to_dataframe()),
             "tiles": tables["tiles"],
+            "prior": self.learnt.document(),
         }
 
     def _figure(self, style: FigureStyle) -> Figure:

@@ -312,7 +312,19 @@ class EvaluationOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapOptions(Options):
+class PriorOptions(Options):
+    """The prior of the force map."""
+
+    prior: Path | None = option(
+        None,
+        "a survey of this limb in this socket, such as the file of survey -o FILE.json, as a prior"
+        " of the force map; the trial must not be in it",
+        metavar="SURVEY",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions(PriorOptions):
     """Options of `st.force_map`."""
 
     segment: str = segment_option("plateau")

@@ -205,7 +205,8 @@ def call_paper(stage: Stage, **options: Any) -> None:
 def _stands_for_map(stage: Stage) -> None:
     stage.watch_trials()
 
-    def mapped(trial: Trial, settings: Any, geometry: Any = None) -> Any:
+    def mapped(trial: Trial, settings: Any, geometry: Any = None, prior: Any = None) -> Any:
+        stage.seen["prior"] = prior and prior.name
         stage.seen |= {"left out": settings.identification.leave_out}
         stage.seen["length of the prior"] = settings.force_map.length
         stage.seen["regions"] = {} if geometry is None else geometry.regions
@@ -271,7 +272,8 @@ def call_survey(stage: Stage, **options: Any) -> None:
     shutil.copytree("scene", "second", dirs_exist_ok=True)
 
     class Joint:
-        change = 0.1
+        change, changes = 0.1, np.zeros(1)
+        hypotheses, weights = (), np.zeros((0, 1))
 
         def __init__(self, geometry: Any, donned: Any, settings: Any) -> None:
             stage.seen |= {"length": settings.length, "loads": len(donned[0].values)}
@@ -534,6 +536,7 @@ NO_BODIES = {"kept bodies": None}
 NOT_BY_AXES = {**dict.fromkeys(("upwards", "front", "height"), "nothing"), "notes": ()}
 REGIONS = {"mine": ["ant_prox", "right_end"]}
 
+PRIOR = {"prior": ("survey.json", {"prior": "survey of a, b"})}
 CASES: dict[str, Cases] = {
     "open_trial": {
         "geometry": ("socket.yaml", {"socket": "socket.yaml"}),
@@ -613,8 +616,10 @@ CASES: dict[str, Cases] = {
             {"part": "2:5", "segment": SPAN, "samples": 13, "last time": 5.0},
         ),
         "params": ("params.yaml", {"length of the prior": 0.05, "least force": 30.0}),
+        **PRIOR,
     },
     "pressure": {
+        **PRIOR,
         "segment": ("2:5", {"part": "2:5", "segment": SPAN}),
         "threshold": (20.0, {"threshold [kPa]": 20.0}),
         "share": (0.1, {"share": 0.1}),

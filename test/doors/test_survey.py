@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from support import scene
 from support.pages import Page
+from support.surveys import prior_by_hand
 
 import socket_testbed as st
 from socket_testbed.commands.pages import _show_survey
@@ -78,6 +79,7 @@ def found() -> Survey:
         single=(field(8.0, 2.0), field(6.0, 3.0)),
         completed=(field(7.5, 1.0), field(7.0, 1.5)),
         limb=field(7.25, 1.25),
+        learnt=prior_by_hand(scene.geometry()),
         next_tiles=("left_mid", "right_end"),
         next_error=0.92,
         side="right",
