@@ -116,6 +116,7 @@ class PoseTrail:
             stamps: Times of the samples since the epoch, shape (N,) [ns].
             motions: Displacements and rotations since the reference pose, shape (N, 6) [m, rad].
         """
+        # What does not rest on the sample before is computed for all samples at once.
         moved = motions / self._scale
         steps = np.array([self._step(stamp) for stamp in stamps.tolist()])
         kept = np.exp(-1e-9 * steps[:, None] / self._ages)  # 0 where the memory is empty
@@ -127,7 +128,7 @@ class PoseTrail:
             self._sums = total
         recent, lasting = np.moveaxis(sums[..., :6] / sums[..., 6:], 1, 0)
         fresh = np.isinf(steps)[:, None, None]
-        reach = np.where(fresh, 0.0, self._widths)
+        reach = np.where(fresh, 0.0, self._widths)  # without a past a play is where the limb is
         plays = np.empty((len(moved), 2, 6))
         ends = zip(recent[:, None] - reach, recent[:, None] + reach, plays, strict=True)
         for low, high, play in ends:

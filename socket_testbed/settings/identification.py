@@ -27,8 +27,10 @@ def add_variant(name: str, offsets: bool) -> None:
     Raises:
         ConfigurationError: If it is a variant of the package, or no name.
     """
-    if not name.isidentifier() or name in get_args(Variant):
-        fact = f"the law '{name}' " + ("is the package's" if name.isidentifier() else "has no name")
+    taken = name in get_args(Variant)
+    if taken or not str(name).isidentifier():
+        why = "that of one of the package's" if taken else "no identifier"
+        fact = f"the law's name '{name}' is {why}"
         raise ConfigurationError(fact, "give it a name of its own, such as 'hardening'")
     for names, listed in ((VARIANTS, True), (BIAS_VARIANTS, offsets)):
         names[:] = [other for other in names if other != name] + [name] * listed

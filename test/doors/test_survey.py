@@ -6,6 +6,7 @@ says 5 kPa. The map of `b` says 3 kPa where `a` measured 4; the rival says 4 kPa
 """
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,6 +102,10 @@ CONCLUSIONS = [
     " by 8 %",
     "2 like loads, which differ by 1.2 % of the force between trials",
 ]
+
+
+def test_a_survey_is_pickled(found: Survey) -> None:
+    assert pickle.loads(pickle.dumps(found)).document() == found.document()
 
 
 def test_the_verdict_comes_in_a_sentence(found: Survey) -> None:

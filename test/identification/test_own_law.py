@@ -77,11 +77,12 @@ def test_settings_take_registered_laws_alone():
 REFUSED = {
     "the package's name": (
         "rigid", PaperLaw,
-        "the law 'rigid' is the package's: give it a name of its own, such as 'hardening'",
+        "the law's name 'rigid' is that of one of the package's: give it a name of its own, such as"
+        " 'hardening'",
     ),
     "no name": (
-        "", PaperLaw,
-        "the law '' has no name: give it a name of its own, such as 'hardening'",
+        "my law", PaperLaw,
+        "the law's name 'my law' is no identifier: give it a name of its own, such as 'hardening'",
     ),
     "another class": (
         "own", dict,
