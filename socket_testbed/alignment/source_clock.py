@@ -69,24 +69,28 @@ def source_clock(stamps: IntArray, arrivals: IntArray) -> SourceClock:
     if duration < 3.0 * _BLOCK:
         offset = float(np.quantile(late, _QUICK))
         return SourceClock(start, offset, 0.0, duration, float(np.median(np.abs(late - offset))))
-    middles, quick = [], []
-    for block in np.unique(blocks):
-        own = blocks == block
-        middles.append(float(since[own].mean()))
-        quick.append(float(np.quantile(late[own], _QUICK)))
-    drift, offset = _line(np.array(middles), np.array(quick))
+    owns = [blocks == block for block in np.unique(blocks)]
+
+    def quickest(drift: float) -> FloatArray:
+        """Of each block the delay that is little disturbed, less the drift so far [s]."""
+        level = late - drift * since
+        return np.array([np.quantile(level[own], _QUICK) for own in owns])
+
+    middles = np.array([since[own].mean() for own in owns])
+    drift = 0.0
+    for _ in range(2):  # the drift within a block moves its quickest delays
+        drift += _slope(middles, quickest(drift))
     if abs(drift) > _MAX_DRIFT:
-        drift, offset = 0.0, float(np.median(quick))
+        drift = 0.0
+    offset = float(np.median(quickest(drift)))
     jitter = float(np.median(np.abs(late - offset - drift * since)))
     return SourceClock(start, offset, drift, duration, jitter)
 
 
-def _line(times: FloatArray, values: FloatArray) -> tuple[float, float]:
-    """Slope and value at 0 of a line through points, by the median slope (Theil and Sen)."""
+def _slope(times: FloatArray, values: FloatArray) -> float:
+    """Slope of a line through points: the median of all slopes (Theil and Sen)."""
     later, earlier = np.triu_indices(len(times), 1)[::-1]
-    slopes = (values[later] - values[earlier]) / (times[later] - times[earlier])
-    slope = float(np.median(slopes))
-    return slope, float(np.median(values - slope * times))
+    return float(np.median((values[later] - values[earlier]) / (times[later] - times[earlier])))
 
 
 class RunningClock:

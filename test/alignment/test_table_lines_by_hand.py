@@ -88,6 +88,23 @@ REFUSED = {
         "column 'time [ms]' has steps of 0.02 in the median, 2e-05 s in its unit, which no sensor"
         " has: give the true unit with --units time=UNIT",
     ),
+    "no number": (
+        "cell.csv",
+        wrench(f"0,{ROW}", "0.1,1,ERR,3,4,5,6"),
+        "line 3, column 'Fy [N]' holds 'ERR': put a number there, leave the cell empty, or remove"
+        " the line",
+    ),
+    "a long line": (
+        "cell.csv",
+        wrench(f"0,{ROW}", f"0.1,{ROW},7", f"0.2,{ROW}"),
+        "line 3 has 8 columns, others 7: correct or remove that line; separate the columns with"
+        " ';' if the numbers have decimal commas",
+    ),
+    "no rows": (
+        "cell.csv",
+        wrench(),
+        "holds no row of numbers: give a row per reading below titles",
+    ),
     "no channel": (
         "caps.csv",
         "t [s],a,b\n0,5,6\n",
@@ -161,6 +178,21 @@ NOTES = {
         TableFormat(),
         "its dates have no zone, and are taken as UTC",
     ),
+    "one short": (
+        wrench(f"0,{ROW}", "0.1,1,2", f"0.2,{ROW}"),
+        TableFormat(),
+        "line 3 has fewer columns than the others, and may be cut short: left out",
+    ),
+    "two short": (
+        wrench(f"0,{ROW}", "0.1,1,2", f"0.2,{ROW}", "0.3,1", f"0.4,{ROW}"),
+        TableFormat(),
+        "2 lines have fewer columns than the others, and may be cut short: left out",
+    ),
+    "no line end": (
+        wrench(f"0,{ROW}", f"0.1,{ROW}", f"0.2,{ROW}").rstrip(),
+        TableFormat(),
+        "line 4, the last, has no line end, so it may be cut short: it is left out",
+    ),
     "a rate": (
         wrench(f"0,{ROW}", f"0.1,{ROW}"),
         TableFormat(rate=10.0),
@@ -173,6 +205,13 @@ NOTES = {
 def test_what_was_changed_is_noted(case: str, tmp_path: Path) -> None:
     text, stated, note = NOTES[case]
     assert read(tmp_path, "cell.csv", text, stated).notes == (f"cell.csv: {note}",)
+
+
+def test_a_first_line_cut_short_is_noted(tmp_path: Path) -> None:
+    row = ",".join("5" * 8)
+    stated = TableFormat(units={"capacitance": "pF"}, rate=20.0, names=("x", "y"))
+    found = read(tmp_path, "caps.csv", f"3,6.1\n{row}\n{row}\n", stated)
+    assert found.notes == ("caps.csv: line 1 has 2 columns, others 8: it is left out",)
 
 
 @pytest.mark.parametrize(

@@ -40,12 +40,14 @@ class Report:
     page: Page
     files: Path  # the folder beside it
     results: Results
+    progress: list[tuple[str, int, int]]  # task, steps done, and their number
 
 
 @pytest.fixture(scope="module")
 def report(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Report:
     """The report on the scene: pressures over the whole trial, models of its first half."""
     path = tmp_path_factory.mktemp("report") / "scene.html"
+    told: list[tuple[str, int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
         results_by_hand.stand_in(patch)
         results = st.write_report(
@@ -56,5 +58,7 @@ def report(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Report:
             leave_out=("distal.Fx",),
             thetas=results_by_hand.THETAS,
             command="by hand",
+            progress=lambda task: lambda done, total: told.append((task, done, total)),
         )
-    return Report(Page(path.read_text(encoding="utf-8")), path.with_name("scene_files"), results)
+    files = path.with_name("scene_files")
+    return Report(Page(path.read_text(encoding="utf-8")), files, results, told)

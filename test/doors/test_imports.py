@@ -352,6 +352,64 @@ def test_a_clock_set_otherwise_is_corrected(tmp_path: Path) -> None:
     assert any("+3600.000 s behind" in note for note in notes)
 
 
+def some_unstamped() -> list[tuple[int, dict[str, Any]]]:
+    """Every fifth message but the first and last has no stamp: 19 of 101."""
+    messages = stamped_wrench()[1]
+    for _, fields in messages[5:96:5]:
+        fields["header"] = header(0, "ft")
+    return messages
+
+
+def some_twice() -> list[tuple[int, dict[str, Any]]]:
+    """Messages 10, 20 and 30 bear the stamp of the next."""
+    messages = stamped_wrench()[1]
+    for row in (10, 20, 30):
+        messages[row][1]["header"] = messages[row + 1][1]["header"]
+    return messages
+
+
+def late_and_slow() -> list[tuple[int, dict[str, Any]]]:
+    """A clock that is 2 s behind."""
+    return stamped_wrench(late=-2.0)[1]
+
+
+NOTED: dict[str, tuple[Any, str]] = {
+    "no stamp": (some_unstamped, "19 messages without a stamp are left out"),
+    "one stamp twice": (
+        some_twice,
+        "of 3 readings with the stamp of the next the last counts",
+    ),
+    "another clock": (
+        late_and_slow,
+        "its clock is not that of the recording (+2.000 s behind at first, then +0 us more each"
+        " second): corrected",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NOTED)
+def test_what_was_changed_is_noted(case: str, tmp_path: Path) -> None:
+    messages, note = NOTED[case]
+    trial, notes = opened(tmp_path, {FT: ("geometry_msgs/msg/WrenchStamped", messages())})
+    assert f"{FT}: {note}" in notes
+    record = yaml.safe_load((trial.path / "import.yaml").read_text())
+    assert record["notes"] == [f"{FT}: {note}"]
+
+
+def test_a_source_beside_all_triggers_is_refused(tmp_path: Path) -> None:
+    """Triggers come 5 to 5.5 s after the wrench begins, which lasts a second."""
+    camera = [
+        (START, {"header": header(START + 5 * 10**9 + at * STEP, "camera")}) for at in (0, 25, 50)
+    ]
+    content = {FT: stamped_wrench(), "/sync": ("sensor_msgs/msg/TimeReference", camera)}
+    with pytest.raises(TrialError) as caught:
+        opened(tmp_path, content, trigger="/sync")
+    assert str(caught.value) == (
+        f"{FT}: no trigger has readings of the wrench around it (they last from -5 to -4 s after"
+        " the first trigger): check its clock and delay, or set its stale in a mapping.yaml"
+    )
+
+
 def test_what_came_in_stays_unchanged(tmp_path: Path) -> None:
     """A topic that is called like the testbed's has another name beside it."""
     content = {"/lab/load_cell/wrench": stamped_wrench(), SOCKET: stamped_pose()}

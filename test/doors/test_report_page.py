@@ -154,6 +154,11 @@ def test_uncertain_cells_look_so(report) -> None:
     assert marked == named > 10
 
 
+def test_progress_counts_the_stages_done(report) -> None:
+    task = "fitting, judging, mapping"
+    assert report.progress == [(task, done, 5) for done in range(1, 6)]
+
+
 def test_the_pressure_is_said_in_words(report) -> None:
     assert summarise(report.results)[0] == (
         "Pressure over the segment, with 95 % intervals: peak pressure 60.0 (57.6 to 62.5) kPa;"

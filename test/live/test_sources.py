@@ -395,7 +395,7 @@ def test_a_clock_that_drifts_is_followed(drift: float) -> None:
         clock.add(stamps[row : row + 10], arrivals[row : row + 10])
     assert clock.is_another
     assert clock.clock is not None and clock.clock.duration == pytest.approx(60.0, abs=1.0)
-    np.testing.assert_allclose(clock.to_recording(stamps[-10:]), arrivals[-10:], atol=200_000)
+    assert np.abs(clock.to_recording(stamps[-10:]) - arrivals[-10:]).max() < 200_000
 
 
 def test_a_clock_that_is_set_is_followed_at_once() -> None:

@@ -34,14 +34,22 @@ pytestmark = pytest.mark.slow  # all figures are drawn and saved
 
 
 @pytest.fixture(scope="module")
-def page_path(results: Results, tmp_path_factory) -> Path:
+def drawn() -> list[tuple[int, int]]:
+    """Numbers of figures drawn, and their total, as they were reported."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def page_path(results: Results, drawn: list[tuple[int, int]], tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "my report.html"
     with pytest.MonkeyPatch.context() as patch:
         # Layout, fonts and pixels take most of the time: the tests of the figures look at them.
         patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         patch.setitem(style._STYLE, "pdf.fonttype", 3)
         patch.setattr("socket_testbed.report.page.save_figure", partial(style.save_figure, dpi=50))
-        write_report(results, path, "socket-testbed report <hold>", MADE, style=style.DEFAULT_STYLE)
+        command = "socket-testbed report <hold>"
+        told = lambda *numbers: drawn.append(numbers)  # noqa: E731
+        write_report(results, path, command, MADE, told, style=style.DEFAULT_STYLE)
     return path
 
 
@@ -50,6 +58,11 @@ def page(page_path: Path) -> Page:
     found = Page(page_path.read_text(encoding="utf-8"))
     assert not found.open
     return found
+
+
+def test_progress_counts_the_figures_drawn(page_path: Path, drawn: list[tuple[int, int]]):
+    number = len([*files_folder(page_path).glob("*.pdf")])
+    assert drawn == [(done, number) for done in range(1, number + 1)] and number >= 7
 
 
 def test_the_page_loads_nothing(page):
