@@ -28,12 +28,14 @@ class Validation(Result):
         judgements: The errors of each predictor on each question, test and trial, by cluster where
             clusters are left out.
         metadata: Stated metadata of each of `trials`, in their order.
+        priors: With a survey as a prior, what the force map of each trial used, in words.
     """
 
     trials: tuple[str, ...]
     fitted: tuple[str, ...]
     judgements: tuple[validation.Judgement, ...]
     metadata: tuple[TrialMetadata, ...]
+    priors: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -105,11 +107,13 @@ class Validation(Result):
 
         Returns:
             The names `trials` and `fitted`; `levels`, the probabilities of the tested intervals
-            [-]; and `judgements`, with the share of the values within each level as `coverage`.
+            [-]; `judgements`, with the share of the values within each level as `coverage`; and
+            `priors` in words, empty without a survey.
         """
         return {
             "trials": list(self.trials),
             "fitted": list(self.fitted),
             "levels": list(validation.LEVELS),
             "judgements": [record(judgement) for judgement in self.judgements],
+            "priors": list(self.priors),
         }
