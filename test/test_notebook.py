@@ -122,6 +122,7 @@ WRONG = {
     "pressure.draw(ax=3)": "ax is 3: give axes",
     "pressure.figure(width='wide')": "figures are not laid out for a width of wide mm: give 88",
     "pressure.save(None)": "the file is None: give a path",
+    "pressure.save(None, over_time=True)": "the file is None: give a path",
     "map.at('x')": "the time is 'x': give a number",
     "map.at(None)": "the time is empty: give a number",
     "trial.select(3)": "the segment is 3: give plateau",

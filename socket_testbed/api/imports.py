@@ -131,9 +131,9 @@ def import_trial(
         "clusters": clusters,
     }
     numbers = {
-        "delay": _by_source(delay, "delay", (-MAX_DELAY, MAX_DELAY), imported.AUTO),
-        "offset": _by_source(offset, "offset", (-MAX_OFFSET, MAX_OFFSET), imported.TAP),
-        "row_rate": _by_source(row_rate, "row_rate", (0.1, 20000.0)),
+        "delay": _by_source(delay, "delay", (-MAX_DELAY, MAX_DELAY), "0.02", imported.AUTO),
+        "offset": _by_source(offset, "offset", (-MAX_OFFSET, MAX_OFFSET), "3", imported.TAP),
+        "row_rate": _by_source(row_rate, "row_rate", (0.1, 20000.0), "100"),
     }
     socket, coefficients = as_path(geometry), as_path(calibration)
     model = None if like is None else path_of(like, "the trial of like")
@@ -491,10 +491,11 @@ def _by_source(
     given: Iterable[str] | Mapping[str, Any],
     what: str,
     ends: tuple[float, float],
+    example: str,
     word: str = "",
 ) -> dict[str, float | str]:
     """Numbers by source, of texts such as `wrench=0.02` or a mapping; a known word stays."""
-    form = f"a source and a number, such as wrench={ends[1] / 500:g}"
+    form = f"a source and a number, such as wrench={example}"
     form += f", or wrench={word}" if word else ""
     found: dict[str, float | str] = {}
     for name, value in _pairs(given, what, form).items():

@@ -134,6 +134,29 @@ def test_poses_from_a_table(tmp_path: Path, kind: str) -> None:
     assert series.times.tolist() == [0, 10_000_000]
 
 
+def test_an_untracked_row_is_no_wrong_quaternion(tmp_path: Path) -> None:
+    """Lines 2 and 3 are not tracked, line 5 has a length of 0.5; of equal times the last counts."""
+    titles, _, place = POSES["dots"]
+    turns = ("0,0,0,0", "0,0,0,0", "0,0,0.6,0.8", "0,0,0.3,0.4")
+    rows = [f"{0.01 * row},{place},{turn}\n" for row, turn in enumerate(turns)]
+    path = tmp_path / "poses.csv"
+
+    def read(*kept: str) -> Take:
+        table = read_table(written(path, "".join((f"{titles}\n", *kept))))
+        return table_take(path, table, TableFormat())
+
+    with pytest.raises(ConfigurationError) as caught:
+        read(*rows)
+    assert str(caught.value) == (
+        "line 5: the quaternion of 'socket' is not of length 1: give qx, qy, qz, qw of unit"
+        " quaternions"
+    )
+    with refused(ConfigurationError, "line 6: the quaternion"):
+        read(rows[0], *rows)
+    series, _ = take_poses(read(*rows[:3]), "socket", BODY)
+    assert np.isnan(series.quaternions[:, 3]).tolist() == [True, True, False]
+
+
 def test_poses_that_cannot_be_read(tmp_path: Path) -> None:
     titles, _, place = POSES["dots"]
     with refused(ConfigurationError, "'socket.x' has no unit", "--units length='m'"):

@@ -43,12 +43,12 @@ LINES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "offset in words": (
         {"offset": ["clusters=soon"]},
-        "the offset of clusters is 'soon': give a source and a number, such as wrench=20000, or"
+        "the offset of clusters is 'soon': give a source and a number, such as wrench=3, or"
         " wrench=tap",
     ),
     "row rate in words": (
         {"row_rate": "clusters=auto"},
-        "the row_rate of clusters is 'auto': give a source and a number, such as wrench=40",
+        "the row_rate of clusters is 'auto': give a source and a number, such as wrench=100",
     ),
     "no source": (
         {"delay": ["wrench=0", "0.02", "0.03"]},

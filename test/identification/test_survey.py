@@ -297,6 +297,10 @@ def test_judged_error_scales_with_what_was_measured() -> None:
     found = survey.judge(GEOMETRY, surveyed, joint, singles)
     tiles = {(each.trial, each.tile) for each in found.points}
     assert (0, 14) not in tiles  # that is a repeat
+    anchors = GEOMETRY.anchors
+    for each in found.points:  # from the nearest cluster of the trial whose map is judged
+        apart = [np.linalg.norm(anchors[each.tile] - anchors[own]) for own in PLACES[each.trial]]
+        assert each.distance == pytest.approx(min(apart)) and max(apart) > 1.2 * min(apart)
     assert found.repeats == 1
     assert len(found.points) == 22  # 2 x 4 for the third, 3 + 4 for each of the others
     c2 = sum(each.squared for each in found.points) / sum(each.expected for each in found.points)
