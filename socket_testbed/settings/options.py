@@ -535,10 +535,23 @@ class ImportOptions(Options):
         metavar="T0:T1",
     )
     mapping: Path | None = option(
-        None, "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}"
+        None,
+        "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}",
+        either="mapping",
     )
-    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
-    calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")
+    like: Path | None = option(
+        None,
+        "an imported trial, whose mapping, socket and calibration are used again, with the delays"
+        " that were found; whatever else is given replaces its own",
+        metavar="TRIAL",
+        either="mapping",
+    )
+    geometry: Path | None = option(
+        None, "a socket.yaml (default: that of the trial to be like, or the package's own)"
+    )
+    calibration: Path | None = option(
+        None, "a calibration.yaml (default: that of the trial to be like, or the package's own)"
+    )
 
 
 # The socket and its calibration.

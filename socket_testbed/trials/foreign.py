@@ -152,6 +152,29 @@ def propose(bag: BagReader, chosen: Mapping[Source, str]) -> dict[Source, str]:
     return found
 
 
+def refuse_lacking(bag: BagReader, named: Mapping[str, str]) -> None:
+    """Refuse a bag that lacks several topics that are named, in one line.
+
+    Args:
+        bag: The open bag.
+        named: By option, such as `wrench` or `trigger`, a topic, `TOPIC:BODY` or
+            `tf:PARENT/CHILD`; `none` is left out.
+
+    Raises:
+        TrialError: If it lacks more than one; where it lacks one, `propose` says more.
+    """
+    lacking = [
+        f"{topic_and_body(name)[0]} of {option_of(option)}"
+        for option, name in named.items()
+        if name != NONE and not bag.counts.get(topic_and_body(name)[0])
+    ]
+    if len(lacking) > 1:
+        raise TrialError(
+            f"{bag.path}: holds no message of {' and '.join(lacking)}",
+            "name other topics, or leave each out with none",
+        )
+
+
 def _with_bodies(bag: BagReader, held: Mapping[str, str]) -> dict[str, str]:
     """Types by topic, with each topic of bodies replaced by its bodies.
 
