@@ -280,7 +280,7 @@ class StreamedSource:
     @property
     def late(self) -> float:
         """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
-        return self.clock.clock.offset if self.clock.clock is not None else math.nan
+        return _offset(self.clock)
 
     def between(self, start: int, end: int) -> FloatArray:
         """Values of the readings in a span, as they were read, shape (n, ...).
@@ -328,6 +328,11 @@ class StreamedSource:
         }
 
 
+def _offset(clock: RunningClock) -> float:
+    """By how much the quickest messages arrive after their stamps [s]; NaN if unknown."""
+    return clock.clock.offset if clock.clock is not None else math.nan
+
+
 def _silence(heard: int, now: int, rate: float) -> str:
     """That a topic is silent, and for how long, in words; empty while it is not.
 
@@ -348,12 +353,15 @@ class TriggerStream:
         topic: Its topic, for texts.
 
     Attributes:
+        topic: Its topic, as given.
         clock: Its clock, see `RunningClock`.
+        unstamped: Whether its newest message has no stamp, so that the time of arrival counts.
     """
 
     def __init__(self, topic: str) -> None:
+        self.topic = topic
         self.clock = RunningClock()
-        self._topic = topic
+        self.unstamped = False
         self._known: foreign.Layouts = []
         self._newest: deque[int] = deque(maxlen=_NEWEST)
         self._heard = 0  # newest arrival [ns]
@@ -378,6 +386,7 @@ class TriggerStream:
             if not len(stamps):
                 continue
             self.clock.add(stamps, np.array([message.time]))
+            self.unstamped = int(stamps[0]) == message.time
             stamp = int(self.clock.to_recording(stamps)[0])
             if not self._newest or stamp > self._newest[-1]:
                 self._newest.append(stamp)
@@ -388,16 +397,25 @@ class TriggerStream:
         """State of the topic at the present time [ns]: OK, WARN or ERROR, fact and hint."""
         if not self._heard:
             hint = "start its program, or check the topic's name and the ROS_DOMAIN_ID"
-            return ERROR, f"no message on {self._topic}, each of which is a trigger: {hint}"
+            return ERROR, f"no message on {self.topic}, each of which is a trigger: {hint}"
         rate = self.rate
         if silence := _silence(self._heard, now, rate):
-            return ERROR, f"{self._topic} is {silence}: check its program"
+            return ERROR, f"{self.topic} is {silence}: check its program"
         if self.clock.is_another:
-            fact = f"the clock of {self._topic} is not this machine's"
+            fact = f"the clock of {self.topic} is not this machine's"
             hint = "its stamps are corrected by their arrival; synchronise the clocks"
             return WARN, f"{fact}: {hint}"
         shown = "" if math.isnan(rate) else f", {rate:.3g} Hz"
-        return OK, f"a trigger with each message on {self._topic}{shown}"
+        return OK, f"a trigger with each message on {self.topic}{shown}"
+
+    @property
+    def late(self) -> float:
+        """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
+        return _offset(self.clock)
+
+    def age(self, now: int) -> float:
+        """Time since its newest trigger [s], at the present time [ns]; NaN without any."""
+        return (now - self._newest[-1]) / _SECOND if self._newest else math.nan
 
 
 class _TareDocument(Document):

@@ -18,7 +18,7 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.doctor import HeardSource
-from socket_testbed.live.sources import StreamedSource, refuse_own_topic
+from socket_testbed.live.sources import StreamedSource, TriggerStream, refuse_own_topic
 from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
@@ -160,13 +160,33 @@ def foreign_topic(node: Node, source: foreign.Source, topic: str, namespace: str
     return ForeignTopic(node, full_name(name, namespace), foreign.kinds_of(source, topic))
 
 
-def hear_sources(
-    settings: AlignSettings, clusters: Sequence[str], namespace: str = "/", within: float = 4.0
-) -> list[HeardSource]:
-    """Listen to the sources of other drivers for a while.
+def trigger_topic(node: Node, topic: str, namespace: str) -> ForeignTopic:
+    """The topic of triggers of another program.
 
     Args:
-        settings: Their topics.
+        node: A node without an executor.
+        topic: Its topic, absolute or relative to the namespace.
+        namespace: Absolute namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the testbed publishes a topic of that name.
+    """
+    refuse_own_topic(topic, "trigger_node: topic", namespace)
+    return ForeignTopic(node, full_name(topic, namespace), foreign.TRIGGERS)
+
+
+def hear_sources(
+    settings: AlignSettings,
+    trigger: str,
+    clusters: Sequence[str],
+    namespace: str = "/",
+    within: float = 4.0,
+) -> list[HeardSource]:
+    """Listen to the sources of other drivers, and to their triggers, for a while.
+
+    Args:
+        settings: The topics of the sources.
+        trigger: Topic whose messages are the triggers; empty for triggers of our own.
         clusters: Names of the testbed's clusters.
         namespace: Absolute namespace of the testbed.
         within: How long to listen [s].
@@ -182,6 +202,9 @@ def hear_sources(
     try:
         heard: list[HeardSource] = []
         listening: list[ForeignTopic] = []
+        if trigger:
+            listening.append(trigger_topic(node, trigger, namespace))
+            heard.append(HeardSource(TriggerStream(trigger)))
         for name in foreign.SOURCES:
             own = settings.sources[name]
             if own.is_foreign:

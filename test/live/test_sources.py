@@ -17,6 +17,8 @@ from socket_testbed.alignment.source_clock import RunningClock
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import packaged
+from socket_testbed.live.bringup import Testbed
+from socket_testbed.live.doctor import HeardSource, Outcome, judge_sources
 from socket_testbed.live.sources import (
     StreamedSource,
     TriggerStream,
@@ -27,7 +29,7 @@ from socket_testbed.live.sources import (
     foreign_topics,
     wrench_mapping,
 )
-from socket_testbed.settings.acquisition import TareSettings
+from socket_testbed.settings.acquisition import TareSettings, TriggerSettings
 from socket_testbed.settings.alignment import (
     AlignSettings,
     LiveClusterSettings,
@@ -35,6 +37,7 @@ from socket_testbed.settings.alignment import (
     LiveWrenchSettings,
     SourceSettings,
 )
+from socket_testbed.settings.testbed import TestbedSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.imported import in_load_cell
@@ -423,6 +426,64 @@ def test_triggers_without_stamps_count_as_they_arrive() -> None:
     times = every(4.0, 1.0)
     arrivals = [time + 1_000_000 for time in times]
     assert TriggerStream("/x").receive(messages("numbers", times, arrivals)) == arrivals
+
+
+def triggers_of(kind: str, hertz: float, late: int = 1_000_000) -> HeardSource:
+    """Two seconds of triggers that arrive late [ns], heard until 4 ms after the last one."""
+    stream, times = TriggerStream("/sync"), every(hertz, 2.0)
+    stream.receive(messages(kind, times, [time + late for time in times]))
+    return HeardSource(stream, SOURCES[kind][1], ended=times[-1] + 4_000_000)
+
+
+def judged(*heard: HeardSource) -> list[Outcome]:
+    """What doctor says of sources whose trigger is set to 20 Hz, in vain if others trigger."""
+    trigger = TriggerSettings(source="topic", topic="/sync", rate=20.0)
+    return judge_sources(Testbed(replace(TestbedSettings(), trigger_node=trigger)), heard)
+
+
+TRIGGERING = {
+    "stamped": (
+        triggers_of("wrench", 4.0),
+        ("/sync: geometry_msgs/msg/WrenchStamped, 4 Hz, 1.0 ms from stamp to arrival, newest 4 ms"
+         " old", ""),
+    ),
+    "unstamped": (
+        triggers_of("numbers", 4.0),
+        ("/sync: std_msgs/msg/Float64MultiArray, 4 Hz, without stamps: the times of arrival count",
+         ""),
+    ),
+    "another clock": (
+        triggers_of("wrench", 4.0, 3 * SECOND),
+        ("the clock of /sync is not this machine's",
+         "its stamps are corrected by their arrival; synchronise the clocks"),
+    ),
+    "silent": (
+        HeardSource(TriggerStream("/sync"), ended=START),
+        ("no message on /sync, each of which is a trigger",
+         "start its program, or check the topic's name and the ROS_DOMAIN_ID"),
+    ),
+    "of another type": (
+        HeardSource(TriggerStream("/sync"), wrong="/sync is a std_msgs/msg/String: name a topic"),
+        ("/sync is a std_msgs/msg/String", "name a topic"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TRIGGERING)
+def test_doctor_judges_the_triggers_of_another_program(case: str) -> None:
+    heard, (found, hint) = TRIGGERING[case]
+    assert judged(heard) == [Outcome("trigger", found, hint)]
+
+
+@pytest.mark.parametrize(("hertz", "hint"), [(4.0, ""), (200.0, "raise its rate above the trigg")])
+def test_sources_are_judged_by_the_triggers_heard(hertz: float, hint: str) -> None:
+    """A wrench at 10 Hz suits triggers at 4 Hz, not at 200 Hz."""
+    source, times = source_of("wrench"), every(10.0, 2.0)
+    source.receive(messages("wrench", times, times))
+    _, outcome = judged(
+        triggers_of("wrench", hertz), HeardSource(source, SOURCES["wrench"][1], ended=times[-1])
+    )
+    assert outcome.hint.startswith(hint) and bool(outcome.hint) == bool(hint)
 
 
 # --- settings
