@@ -25,6 +25,7 @@ from socket_testbed.trials.rigid_bodies import (
     body_names,
     each_decoded,
     lacking_body,
+    require_definition,
 )
 from socket_testbed.wire import cdr, topics
 from socket_testbed.wire.cdr import stamp_of
@@ -66,6 +67,7 @@ LACKING: dict[Source, str] = {  # what a trial cannot do without the source
 }
 _CHANNEL = re.compile(r"(?P<cluster>.+?)[._/: -]?(?P<channel>[0-3])")
 _MAX_LAYOUTS = 200
+_MAX_BODY_LAYOUTS = 8  # of bodies, most of which have either few layouts or a new one each time
 _REMEMBERED = 20  # layouts, of a topic that is being read
 _MAX_LISTED = 4
 _MAX_SEARCHED = 1000  # messages, for the names of bodies
@@ -454,19 +456,21 @@ def _decoded(
     messages: Sequence[RawMessage],
     notes: list[str] | None = None,
     known: Layouts | None = None,
+    most: int = _MAX_LAYOUTS,
+    others: list[RawMessage] | None = None,
 ) -> Iterator[tuple[IntArray, IntArray, cdr.Record, Any]]:
     """Arrivals and stamps [ns], numbers and one sample of messages, each part of one layout.
 
     Without a header the stamps are the arrivals. The known layouts are tried first, and new ones
-    are added to them.
+    are added to them. Messages beyond the most layouts go to `others`, or are left out.
     """
     known = [] if known is None else known
     if not messages:
         return
-    kind, name = messages[0].type, messages[0].topic
+    kind, name, definition = messages[0].type, messages[0].topic, messages[0].definition
     arrivals = np.array([message.time for message in messages], dtype=np.int64)
     left, refused = np.arange(len(messages)), 0
-    for tried in range(_MAX_LAYOUTS):
+    for tried in range(most):
         if not len(left):
             break
         if tried - refused < len(known):
@@ -474,7 +478,8 @@ def _decoded(
         else:
             first = messages[left[0]].data
             try:
-                layout, sample = cdr.Layout(first, kind), cdr.decode(first, kind)
+                layout = cdr.Layout(first, kind, definition)
+                sample = cdr.decode(first, kind, definition)
             except Exception:  # the library may raise any exception
                 left, refused = left[1:], refused + 1
                 continue
@@ -486,7 +491,10 @@ def _decoded(
         stamps = cdr.stamps_of(records) if "header" in (records.dtype.names or ()) else own
         yield own, stamps, records, sample
         left = left[~fits]
-    refused += len(left)
+    if others is None:
+        refused += len(left)
+    else:
+        others += [messages[row] for row in left.tolist()]
     if refused and notes is not None:
         notes.append(f"{name}: {refused} messages cannot be decoded, and are left out")
 
@@ -502,7 +510,7 @@ def _values(
     """The values of messages of one kind, in parts."""
     kind = messages[0].type if messages else ""
     if kind in BODIES:
-        yield from _body(name, messages, notes)
+        yield from _body(name, messages, notes, known)
         return
     for arrivals, stamps, records, sample in _decoded(messages, notes, known):
         if kind == TRANSFORMS:
@@ -524,16 +532,36 @@ def _transforms(name: str, arrivals: IntArray, records: cdr.Record, sample: Any)
             yield cdr.stamps_of(record), arrivals, values, (parent,)
 
 
-def _body(name: str, messages: Sequence[RawMessage], notes: list[str]) -> Iterator[_Part]:
-    """The poses of a body where it is tracked, in parts of one frame."""
+def _body(
+    name: str, messages: Sequence[RawMessage], notes: list[str], known: Layouts | None
+) -> Iterator[_Part]:
+    """The poses of a body where it is tracked, in the order of arrival, in parts of one frame."""
     _, wanted = topic_and_body(name)
-    rows: dict[str, list[tuple[int, int, list[float]]]] = defaultdict(list)
-    for message, body in bodies_in(messages, notes):
+    others: list[RawMessage] = []
+    parts: dict[str, list[tuple[IntArray, IntArray, FloatArray]]] = defaultdict(list)
+    require_definition(messages[0])
+    for arrivals, stamps, records, sample in _decoded(
+        messages, notes, known, _MAX_BODY_LAYOUTS, others
+    ):
+        for number, own in enumerate(sample.rigidbodies):
+            if own.rigid_body_name == wanted:
+                record, frame, stamped = records["rigidbodies"][str(number)], "", stamps
+                if hasattr(own, "header"):  # which most drivers leave empty
+                    frame, stamped = own.header.frame_id, cdr.stamps_of(record)
+                    stamped = np.where(stamped == 0, stamps, stamped)
+                values = _joined(record["pose"], "position", "orientation")
+                seen = values[:, :3].any(axis=1) & values[:, 3:].any(axis=1)
+                part = stamped[seen], arrivals[seen], values[seen]
+                parts[frame or sample.header.frame_id].append(part)
+    for message, body in bodies_in(others, notes) if others else ():
         if body.name == wanted and body.pose:
-            rows[body.frame].append((body.stamp, message.time, body.pose))
-    for frame, found in rows.items():
-        stamps, arrivals, poses = zip(*found, strict=True)
-        yield np.array(stamps), np.array(arrivals), np.array(poses), (frame,)
+            row = [body.stamp], [message.time], [body.pose]
+            parts[body.frame].append((np.array(row[0]), np.array(row[1]), np.array(row[2])))
+    for frame, found in parts.items():
+        stamps, arrivals, values = (np.concatenate(column) for column in zip(*found, strict=True))
+        order = np.argsort(arrivals, kind="stable")
+        if len(order):
+            yield stamps[order], arrivals[order], values[order], (frame,)
 
 
 def _joined(record: cdr.Record, *fields: str) -> FloatArray:

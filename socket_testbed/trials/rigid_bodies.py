@@ -33,10 +33,28 @@ class TrackedBody(NamedTuple):
     pose: list[float]
 
 
+def require_definition(message: RawMessage) -> None:
+    """Refuse a message whose type is not known.
+
+    Args:
+        message: The message.
+
+    Raises:
+        TrialError: If the recording states no definition of it, or one that cannot be read.
+    """
+    try:
+        cdr.types_of(message.type, message.definition)
+    except ValueError as error:
+        package = message.type.partition("/")[0]
+        hint = f"convert the bag with 'ros2 bag convert' to MCAP where {package} is installed"
+        fact = f"{message.topic}: {error}"
+        raise TrialError(fact, f"{hint}, or name other poses, or none") from None
+
+
 def each_decoded(
     messages: Sequence[RawMessage], notes: list[str]
 ) -> Iterator[tuple[RawMessage, Any]]:
-    """Messages of one type, each with its content: their markers leave hardly two of one layout.
+    """Messages of one type, each with its content, whatever their layouts.
 
     Args:
         messages: One or more messages.
@@ -45,22 +63,15 @@ def each_decoded(
     Raises:
         TrialError: If the definition of their type is not known.
     """
-    refused, first = 0, messages[0]
-    try:
-        cdr.types_of(first.type, first.definition)
-    except ValueError as error:
-        package = first.type.partition("/")[0]
-        hint = f"convert the bag with 'ros2 bag convert' to MCAP where {package} is installed"
-        raise TrialError(
-            f"{first.topic}: {error}", f"{hint}, or name other poses, or none"
-        ) from None
+    require_definition(messages[0])
+    refused = 0
     for message in messages:
         try:
             yield message, cdr.decode(message.data, message.type, message.definition)
         except Exception:  # the library may raise any exception
             refused += 1
     if refused:
-        notes.append(f"{first.topic}: {refused} messages cannot be decoded, and are left out")
+        notes.append(f"{messages[0].topic}: {refused} messages cannot be decoded, and are left out")
 
 
 def bodies_in(

@@ -172,10 +172,19 @@ class Field(NamedTuple):
     number: int | None = None
 
 
+def fields_of(message_type: str, definition: str = "") -> tuple[Field, ...]:
+    """The fields of a message type.
+
+    Args:
+        message_type: The type, as `package/msg/Type`.
+        definition: Its definition, see `types_of`.
+    """
+    return _fields(message_type, types_of(message_type, definition))
+
+
 @cache
-def fields_of(message_type: str) -> tuple[Field, ...]:
-    """The fields of a message type, given as `package/msg/Type`."""
-    return tuple(_field(*field) for field in typestore().get_msgdef(message_type).fields)
+def _fields(message_type: str, types: Typestore) -> tuple[Field, ...]:
+    return tuple(_field(*field) for field in types.get_msgdef(message_type).fields)
 
 
 def _field(name: str, described: Any, number: int | None = None) -> Field:
@@ -226,6 +235,7 @@ class Layout:
     Args:
         sample: A message, serialised (CDR), from which the layout is derived.
         message_type: Its type, as `package/msg/Type`.
+        definition: Its definition, see `types_of`.
 
     Attributes:
         dtype: The numbers by field name; its item size is the length of the message [bytes].
@@ -234,8 +244,8 @@ class Layout:
         ValueError: If the bytes are not such a message.
     """
 
-    def __init__(self, sample: bytes | bytearray, message_type: str) -> None:
-        walk = _Walk(bytes(sample))
+    def __init__(self, sample: bytes | bytearray, message_type: str, definition: str = "") -> None:
+        walk = _Walk(bytes(sample), types_of(message_type, definition))
         self.dtype = walk.message(message_type)
         self._size = len(sample)
         self._fixed = np.flatnonzero(walk.fixed)
@@ -311,7 +321,8 @@ _Placed: TypeAlias = tuple[int, np.dtype[Any]] | None
 class _Walk:
     """Parses a message once; `fixed` marks the bytes that are neither numbers nor padding."""
 
-    def __init__(self, content: bytes) -> None:
+    def __init__(self, content: bytes, types: Typestore) -> None:
+        self._types = types
         if content[:2] not in (b"\0\0", b"\0\1"):
             raise ValueError("the message is not plain CDR")
         self._order: Literal["<", ">"] = "<" if content[1] else ">"
@@ -328,7 +339,7 @@ class _Walk:
         return placed[1]
 
     def _message(self, name: str) -> _Placed:
-        return self._group({field.name: self._field(field) for field in fields_of(name)})
+        return self._group({field.name: self._field(field) for field in _fields(name, self._types)})
 
     def _field(self, field: Field) -> _Placed:
         if field.number is None:
@@ -353,7 +364,7 @@ class _Walk:
                 raise ValueError("a string has no end")
             self.fixed[self._position - length : self._position] = True
             return None
-        fields = fields_of(name)
+        fields = _fields(name, self._types)
         kinds = {field.type for field in fields}
         single = all(field.number is None for field in fields)
         if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBER_TYPES.keys():

@@ -135,6 +135,13 @@ def test_a_recording_without_definitions_tells_what_to_do(tmp_path: Path) -> Non
         opened(tmp_path, frames("present"), **options)
 
 
+@pytest.fixture(params=[0, 8], ids=["one by one", "by layout"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways in which messages are read: the first where more layouts differ."""
+    monkeypatch.setattr(foreign, "_MAX_BODY_LAYOUTS", request.param)
+
+
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("lost", [LOST, LOST_WITH_TURN, None], ids=["zeros", "no place", "absent"])
 def test_a_body_out_of_sight_has_no_reading(lost: list[float] | None) -> None:
     """The second of three messages lacks it."""
@@ -147,6 +154,7 @@ def test_a_body_out_of_sight_has_no_reading(lost: list[float] | None) -> None:
     np.testing.assert_allclose(series.positions[:, 0], [0.0, 0.002])
 
 
+@pytest.mark.usefixtures("way")
 def test_a_body_s_own_stamp_counts() -> None:
     """The message is stamped 3 ms later than the body's capture, where the body has a stamp."""
     sent = [
@@ -162,6 +170,7 @@ def test_bodies_of_one_frame_as_triggers() -> None:
     assert ((foreign.read_stamps(sent) - START) // STEP).tolist() == [0, 2, 5]
 
 
+@pytest.mark.usefixtures("way")
 def test_damaged_messages_are_left_out() -> None:
     sent = frames("present")
     sent[3] = sent[3]._replace(data=sent[3].data[:-20])
