@@ -101,9 +101,10 @@ def import_trial(
             (default: none, for a load cell that is tared).
         mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
         like: An imported trial, whose mapping, socket and calibration are used again, with the
-            delays that were found; other arguments replace its own. Not beside `mapping`.
-        geometry: A socket.yaml (default: the package's own, or that of `like`).
-        calibration: A calibration.yaml (default: the package's own, or that of `like`).
+            delays that were found; whatever else is given replaces its own.
+        geometry: A socket.yaml (default: that of the trial to be like, or the package's own).
+        calibration: A calibration.yaml (default: that of the trial to be like, or the package's
+            own).
         notify: Called with each note, such as the topics used and what is missing; None issues
             warnings.
 

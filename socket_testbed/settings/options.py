@@ -553,13 +553,17 @@ class ImportOptions(Options):
     )
     like: Path | None = option(
         None,
-        "an imported trial, whose mapping, socket and calibration are used again; other options"
-        " replace its own",
+        "an imported trial, whose mapping, socket and calibration are used again, with the delays"
+        " that were found; whatever else is given replaces its own",
         metavar="TRIAL",
         either="mapping",
     )
-    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
-    calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")
+    geometry: Path | None = option(
+        None, "a socket.yaml (default: that of the trial to be like, or the package's own)"
+    )
+    calibration: Path | None = option(
+        None, "a calibration.yaml (default: that of the trial to be like, or the package's own)"
+    )
 
 
 # The socket and its calibration.
