@@ -3,7 +3,9 @@
 The whole graph runs and records, and programs read its page as browsers do (they drop what they
 read: a browser would take its own share of this machine). A subscriber outside takes the times at
 which the trigger and its estimate arrive. The floor, in the same run: a bare relay, which
-subscribes to the clusters' messages, decodes and publishes them, and does nothing else.
+subscribes to the clusters' messages, decodes and publishes them, and does nothing else. With
+`--foreign` other drivers' topics take the place of ours, which another program plays: a wrench at
+500 Hz, two poses at 100 Hz and capacitances at 20 Hz.
 
 Processor time is per trigger: on a machine that others use, a time scale below 1 lets the testbed
 keep up, and the figures are those of full speed.
@@ -16,6 +18,7 @@ import dataclasses
 import multiprocessing
 import os
 import struct
+import sys
 import tempfile
 import threading
 import time
@@ -39,6 +42,13 @@ from socket_testbed.clocks import BEGINNING, SteadyClock
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
+from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.alignment import (
+    AlignSettings,
+    LiveClusterSettings,
+    LiveSourceSettings,
+    LiveWrenchSettings,
+)
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.bag import BagReader
@@ -52,6 +62,11 @@ from socket_testbed.wire.topics import (
     Topic,
     match_topics,
 )
+
+sys.path.append(str(Path(__file__).parents[1] / "test"))
+from support.foreign import CAPACITANCES, LIMB, SOCKET, WRENCH, simulate_foreign
+from support.graph import Probe
+from support.player import Player
 
 RELAYED = Topic("relayed", CAPACITANCE.type)
 SETTLED = 8.0  # [s]; after the first trigger: nodes are imported, the first model is fitted
@@ -138,6 +153,13 @@ def browse(count: int) -> None:
         reader.join()
 
 
+def play(bag: Path) -> None:
+    """Publish what other drivers sent, again and again, until killed."""
+    with Probe() as probe, Player(probe, bag):
+        while True:
+            time.sleep(1.0)
+
+
 def processor_seconds(helpers: dict[int, str]) -> dict[str, float]:
     """Processor time of this process's descendants by what they are [s]."""
     times = processes()
@@ -165,6 +187,18 @@ def testbed_of(folder: Path, options: argparse.Namespace) -> Testbed:
     simulation = Simulation("multi_direction", 60.0, 1, time_scale=options.time_scale)
     testbed = simulated_testbed(folder / "trial", options.rate, simulation)
     testbed = dataclasses.replace(testbed, one_process=options.one_process)
+    if options.foreign:
+        settings = dataclasses.replace(
+            testbed.settings,
+            trigger_node=TriggerSettings(source="timer", rate=options.rate),
+            align_node=AlignSettings(
+                wrench=LiveWrenchSettings(topic=WRENCH, delay=0.02),
+                socket_pose=LiveSourceSettings(topic=SOCKET),
+                pylon_pose=LiveSourceSettings(topic=LIMB),
+                clusters=LiveClusterSettings(topic=CAPACITANCES),
+            ),
+        )
+        testbed = dataclasses.replace(testbed, simulation=None, settings=settings)
     if options.fits:
         return testbed
     model = folder / "model.json"
@@ -184,6 +218,7 @@ def main() -> None:
     parser.add_argument("--time-scale", type=float, default=1.0)
     parser.add_argument("--one-process", action="store_true", help="most nodes share a process")
     parser.add_argument("--fits", action="store_true", help="fit models in the background")
+    parser.add_argument("--foreign", action="store_true", help="other drivers, not ours")
     parser.add_argument("--browsers", type=int, help="serve the page, and read it so many times")
     options = parser.parse_args()
     os.environ[BEGINNING] = str(SteadyClock().beginning)
@@ -195,17 +230,23 @@ def main() -> None:
         helpers.append(context.Process(target=browse, args=arguments, name="browsers", daemon=True))
     with tempfile.TemporaryDirectory() as name, (Path(name) / "log").open("w") as log:
         testbed = testbed_of(Path(name), options)
+        if options.foreign:
+            bag = Path(name) / "bag"
+            simulate_foreign(bag, "multi_direction", duration=30.0)
+            helpers.append(
+                context.Process(target=play, args=(bag,), name="other drivers", daemon=True)
+            )
         with (
             listening(TRIGGER, ESTIMATED_WRENCH) as (triggers, estimates),
             Graph(log) as graph,
         ):
+            for helper in helpers:
+                helper.start()
+            names = {helper.pid: helper.name for helper in helpers}
             start(graph, testbed)
             if options.browsers is not None:
                 graph.start_nodes([GraphNode("view_node", ViewSettings(port=PORT))])
             graph.watch(lambda: len(triggers.by_stamp) > 0, print)
-            for helper in helpers:
-                helper.start()
-            names = {helper.pid: helper.name for helper in helpers}
             settled = time.monotonic() + SETTLED
             graph.watch(lambda: time.monotonic() > settled, print)
             before, count = processor_seconds(names), len(triggers.by_stamp)
@@ -223,7 +264,7 @@ def main() -> None:
 
 def show_costs(spent: dict[str, float], count: int, rate: float) -> None:
     """Print the processor time of each process, and of all nodes together."""
-    helpers = ("bare relay", "browsers", "socket_testbed.simulation.testbed")
+    helpers = ("bare relay", "browsers", "other drivers", "socket_testbed.simulation.testbed")
     spent["all nodes"] = sum(each for who, each in spent.items() if who not in helpers)
     relay = spent.setdefault("bare relay", 0.0)  # 0 if it used less than a tick of the kernel
     print(f"{'process':36} {'ms a trigger':>12} {f'% at {rate:g} Hz':>12} / relay")

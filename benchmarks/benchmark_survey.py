@@ -28,7 +28,8 @@ from socket_testbed.settings.options import TissueKind
 from socket_testbed.simulation.trial import SimulatedTrial, simulate
 
 _DURATION, _RATE = 60.0, 1.0  # [s], [Hz]; of the hold
-_LOADED = slice(15, 48)  # samples of the hold under load
+LOADED = slice(15, 48)
+"""Samples of the hold under load."""
 
 
 def places(geometry: SocketGeometry, count: int) -> list[list[int]]:
@@ -57,6 +58,30 @@ def measured_values(
         forces[judged != Status.OK] = np.nan
         columns.append(forces)
     return np.hstack(columns)
+
+
+def hold_of(
+    geometry: SocketGeometry,
+    calibration: Calibration,
+    tissue: TissueKind,
+    share: float,
+    seed: int,
+    donning: int,
+) -> SimulatedTrial:
+    """A hold of a limb that is put on.
+
+    Args:
+        geometry: The socket with the clusters in their places.
+        calibration: The clusters' calibration.
+        tissue: The limb's tissue.
+        share: How much a donning differs [-].
+        seed: Seed of the limb.
+        donning: Seed of the donning.
+    """
+    return simulate(
+        geometry, calibration, "static_hold", _DURATION, _RATE, seed,
+        tissue=tissue, donning=donning, donning_share=share,
+    )  # fmt: skip
 
 
 def relative(field: Field, truth: FloatArray, tiles: IntArray) -> float:
@@ -99,12 +124,9 @@ def survey_limb(
     measured, truths = [], []
     for number, tiles in enumerate(sets):
         placed = replace(geometry, clusters=dict(zip(geometry.clusters, tiles, strict=True)))
-        trial = simulate(
-            placed, calibration, "static_hold", _DURATION, _RATE, seed,
-            tissue=tissue, donning=number + 1, donning_share=share,
-        )  # fmt: skip
-        measured.append(measured_values(trial, placed, calibration)[_LOADED])
-        forces = trial.truth.forces[_LOADED]
+        trial = hold_of(placed, calibration, tissue, share, seed, number + 1)
+        measured.append(measured_values(trial, placed, calibration)[LOADED])
+        forces = trial.truth.forces[LOADED]
         truths.append(np.einsum("nij,kni->knj", geometry.rotations, forces))
     settings = ForceMapSettings()
     rows, _ = match_loads([values[:, :6] for values in measured], settings.arm)

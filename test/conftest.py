@@ -1,4 +1,5 @@
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # numpy reads it when it is first imported; child processes inherit it.
@@ -15,6 +16,9 @@ os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from socket_testbed.__main__ import run
+from socket_testbed.identification.contact import LAWS
+from socket_testbed.settings import identification
+from socket_testbed.settings.fields import renew_choices
 
 _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others use
 
@@ -64,6 +68,19 @@ def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
     """Validates only variants that are fitted at once: the others repeat what these show."""
     place = "socket_testbed.identification.validation.VARIANTS"
     monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
+
+
+@pytest.fixture
+def own_laws() -> Iterator[None]:
+    """Contact laws that a test registers are forgotten after it."""
+    lists = identification.VARIANTS, identification.BIAS_VARIANTS
+    kept, laws = [[*names] for names in lists], dict(LAWS)
+    yield
+    for names, before in zip(lists, kept, strict=True):
+        names[:] = before
+    LAWS.clear()
+    LAWS.update(laws)
+    renew_choices()
 
 
 @pytest.fixture(scope="session")

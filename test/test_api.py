@@ -51,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("write_report", "tile")]
 
 
-@pytest.mark.usefixtures("few_variants")
+@pytest.mark.usefixtures("few_variants", "own_laws")
 @pytest.mark.parametrize("name", [*sorted({*FUNCTIONS} - {"write_report", "tile"}), *SLOW])
 def test_an_example_runs(name: str, folder: Path, monkeypatch) -> None:
     # 300 rounds of the search find two tiles more and take most of the example's time.

@@ -42,6 +42,7 @@ SMALLEST = {
         ("the bag library's iteration", "reading all samples", "info", "export"),
     ),
     "benchmark_survey.py": ("--seeds 400 --shares 0.1 --tissues soft", ("soft    10 %",)),
+    "benchmark_survey_prior.py": ("--seeds 600 --shares 0.1 --tissues soft", ("soft    10 %",)),
     "benchmark_scans.py": ("--edges 8 --words '--rounds 0'", ("edges of 8 mm.stl: look",)),
     "benchmark_validation.py": (
         "--seeds 100 --duration 30",

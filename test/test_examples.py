@@ -64,10 +64,11 @@ def many_trials(printed: str) -> None:
 
 
 def own_law(printed: str) -> None:
-    (fit,) = numbers("st.fit: RMSE of Fz # N", printed)
-    (own,) = numbers("own law: RMSE of Fz # N", printed)
-    (constant,) = numbers("constant: RMSE of Fz # N", printed)
-    assert fit < own < constant
+    own, published, default, constant = (
+        numbers(f"{name}: RMSE of Fz # N", printed)[0]
+        for name in ("hardening", "stiffness_bias", "rigid_bias", "constant")
+    )
+    assert default < own < published < constant
 
 
 def cycles(printed: str) -> None:

@@ -87,6 +87,14 @@ def test_only_nodes_import_ros(imported: dict[str, set[str]]) -> None:
         assert not ros or top(own) == "nodes", (own, ros)
 
 
+def test_the_api_defines_no_result() -> None:
+    """Pages and reports, which the API imports, show results: these lie below all three."""
+    for path in (PACKAGE / "api").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            bases = node.bases if isinstance(node, ast.ClassDef) else []
+            assert "Result" not in map(ast.unparse, bases), (path, node)
+
+
 @pytest.mark.parametrize("folder", ["benchmarks", "examples", "launch"])
 def test_what_programs_outside_the_package_import_is_there(folder: str) -> None:
     for path in (PACKAGE.parent / folder).glob("*.py"):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal, stats
 from scipy.interpolate import make_interp_spline
+from scipy.special import stdtrit
 
 from socket_testbed.alignment.align import Series, align
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
@@ -90,6 +90,8 @@ def find_delay(
         TrialError: If they share too little time, have a long gap, or the load does not tell the
             delay.
     """
+    from scipy import signal  # slow to import
+
     every = [load, source] if socket is None else [load, source, socket]
     grid = _common_times([series.times for series in every], longest)
     forces = _band(_on_grid(load, grid), "the load")
@@ -110,7 +112,7 @@ def find_delay(
          for row in range(number)]
     )  # fmt: skip
     error = np.sqrt((number - 1) / number * np.sum((left_out - left_out.mean()) ** 2))
-    half = float(stats.t.ppf(_LEVEL, number - 1) * error)
+    half = float(stdtrit(number - 1, _LEVEL) * error)
     if abs(delay) >= longest - _NEAR * _GRID or half > _MAX_HALF * longest:
         raise TrialError(
             f"the load does not tell the delay ({1e3 * delay:.0f} +- {1e3 * half:.0f} ms)",
@@ -155,6 +157,8 @@ def _motion(
 
 def _band(values: FloatArray, name: str) -> FloatArray:
     """The quick changes of those columns that are known throughout and change, shape (N, k)."""
+    from scipy import signal  # slow to import
+
     values = values[:, np.isfinite(values).all(axis=0)]
     values = values[:, np.ptp(values, axis=0) > 0.0] if values.size else values
     if not values.shape[1]:

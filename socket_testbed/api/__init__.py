@@ -27,19 +27,26 @@ Units, frames and signs, unless stated otherwise:
 """
 
 # The only list of public names; `socket_testbed` re-exports it.
-from socket_testbed.api.comparison import Comparison, compare
-from socket_testbed.api.cycles import Cycles, cycles
-from socket_testbed.api.design import CalibratedCluster, calibrate, register, tile
+from socket_testbed.api.comparison import compare
+from socket_testbed.api.cycles import cycles
+from socket_testbed.api.design import calibrate, register, tile
 from socket_testbed.api.export import export
 from socket_testbed.api.imports import import_trial
 from socket_testbed.api.models import evaluate, fit, predict, read_model
 from socket_testbed.api.pages import view, write_comparison, write_report, write_survey
 from socket_testbed.api.pressure import force_map, pressure
-from socket_testbed.api.survey import Survey, survey
-from socket_testbed.api.tradeoff import PaperTable, Tradeoff, paper, pareto
+from socket_testbed.api.survey import survey
+from socket_testbed.api.tradeoff import paper, pareto
 from socket_testbed.api.trials import annotate, check_data, open_trial, simulate
-from socket_testbed.api.validation import Validation, validate
+from socket_testbed.api.validation import validate
 from socket_testbed.errors import TestbedError
+from socket_testbed.identification.contact import register_law
+from socket_testbed.results.calibration import CalibratedCluster
+from socket_testbed.results.comparison import Comparison
+from socket_testbed.results.cycles import Cycles
 from socket_testbed.results.models import Evaluation, TrialFit
 from socket_testbed.results.pressure import TrialMap, TrialPressure
 from socket_testbed.results.result import Result
+from socket_testbed.results.survey import Survey
+from socket_testbed.results.tradeoff import PaperTable, Tradeoff
+from socket_testbed.results.validation import Validation

@@ -57,6 +57,7 @@ def import_trial(
     wrench_of: WrenchOf | None = None,
     tare: str | None = None,
     mapping: PathLike | None = None,
+    like: PathLike | None = None,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
     notify: Callable[[str], None] | None = None,
@@ -72,10 +73,12 @@ def import_trial(
             capacitances or stresses, and takes of motion capture, which their columns tell apart.
         path: Folder of the new trial.
         wrench: Topic or table of the load cell's wrench, or none (default: found by its type).
-        socket_pose: Topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform,
-            FILE:BODY of a take, or none (default: found by type and name).
-        pylon_pose: Topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform,
-            FILE:BODY of a take, or none (default: found by type and name).
+        socket_pose: Topic of the pose of the socket's marker body, TOPIC:BODY for one of rigid
+            bodies, tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by
+            type and name).
+        pylon_pose: Topic of the pose of the pylon's marker body, TOPIC:BODY for one of rigid
+            bodies, tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by
+            type and name).
         clusters: Topic or table of the clusters' capacitances or stresses, or none (default: found
             by type and name).
         names: Clusters of an array or table without names, in its order, four capacitances each.
@@ -97,8 +100,11 @@ def import_trial(
         tare: Span without load, since the first trigger [s], whose mean wrench is subtracted
             (default: none, for a load cell that is tared).
         mapping: A mapping.yaml with topics, windows, delays and the pose of the load cell in {S}.
-        geometry: A socket.yaml (default: the package's own).
-        calibration: A calibration.yaml (default: the package's own).
+        like: An imported trial, whose mapping, socket and calibration are used again, with the
+            delays that were found; whatever else is given replaces its own.
+        geometry: A socket.yaml (default: that of the trial to be like, or the package's own).
+        calibration: A calibration.yaml (default: that of the trial to be like, or the package's
+            own).
         notify: Called with each note, such as the topics used and what is missing; None issues
             warnings.
 
@@ -130,7 +136,13 @@ def import_trial(
         "offset": _by_source(offset, "offset", (-MAX_OFFSET, MAX_OFFSET), "3", imported.TAP),
         "row_rate": _by_source(row_rate, "row_rate", (0.1, 20000.0), "100"),
     }
-    chosen = _mapping(as_path(mapping), given, numbers, names, wrench_of)
+    socket, coefficients = as_path(geometry), as_path(calibration)
+    model = None if like is None else path_of(like, "the trial of like")
+    if model is not None:
+        socket = socket or model / SOCKET_FILE
+        coefficients = coefficients or model / CALIBRATION_FILE
+    base = _base_mapping(as_path(mapping), model)
+    chosen = _mapping(base, given, numbers, names, wrench_of)
     chosen = msgspec.structs.replace(
         chosen,
         columns={**chosen.columns, **_pairs(columns, "columns", "a column and its title")},
@@ -144,13 +156,11 @@ def import_trial(
         parse_span(chosen.wrench.tare, "--tare")
     chosen = _with_triggers(chosen, rate, trigger)
     if foreign_tables.are_tables(paths):
-        recording = _read_tables(paths, chosen, as_path(geometry), tap, notify)
+        recording = _read_tables(paths, chosen, socket, tap, notify)
     else:
         _refuse_options_of_tables(paths[0], chosen, tap)
         recording = _read_bag(paths[0], chosen, notify)
-    return trial_of(
-        recording, output, chosen, as_path(geometry), as_path(calibration), notify=notify
-    )
+    return trial_of(recording, output, chosen, socket, coefficients, notify=notify)
 
 
 @dataclass(frozen=True)
@@ -182,7 +192,12 @@ def _read_bag(
         for note in reader.notes:
             notify(note)
         stated = {name: getattr(chosen, name).topic for name in foreign.SOURCES}
-        found = foreign.propose(reader, {name: at for name, at in stated.items() if at is not None})
+        topics = {name: at for name, at in stated.items() if at is not None}
+        named: dict[str, str] = {str(name): at for name, at in topics.items()}
+        if chosen.trigger is not None:
+            named["trigger"] = chosen.trigger
+        foreign.refuse_lacking(reader, named)
+        found = foreign.propose(reader, topics)
         if chosen.trigger is not None and not reader.counts.get(chosen.trigger):
             known = [name for name, count in reader.counts.items() if count]
             fact = f"{source}: the topic {chosen.trigger} of --trigger holds no message"
@@ -300,6 +315,7 @@ def trial_of(
     }
     _refuse_nothing(aligned, sources, triggers)
     record: dict[str, Any] = {"from": recording.name, **recording.record}
+    record[imported.MAPPING] = imported.stated(_as_used(chosen, recording, delays))
     record["triggers"] = _trigger_record(chosen, triggers)
     for name, own in sources.items():
         window = settings[name].span(period)
@@ -336,6 +352,27 @@ def trial_of(
         record,
     )
     return open_trial(path, notify=notify)
+
+
+def _as_used(
+    chosen: imported.SourceMapping,
+    recording: Recording,
+    delays: Mapping[foreign.Source, Delay],
+) -> imported.SourceMapping:
+    """The mapping for other recordings like this one: its topics, and the delays that were found.
+
+    Tables are named anew for each recording; of a take the body stays. A tap is sought again.
+    """
+    parts = {name: foreign.topic_and_body(own.topic) for name, own in recording.sources.items()}
+    takes = {file for file, body in parts.values() if body}
+    for name, own in recording.sources.items():
+        topic: str | None = own.topic
+        if recording.files:
+            topic = parts[name][1] or None if len(takes) == 1 else None
+        source = getattr(chosen, name)
+        changed = msgspec.structs.replace(source, topic=topic, delay=round(delays[name].delay, 6))
+        chosen = msgspec.structs.replace(chosen, **{name: changed})
+    return chosen
 
 
 def _delays_of(
@@ -396,17 +433,25 @@ def _delay_behind_load(
     return find_delay(load, own, socket)
 
 
+def _base_mapping(file: Path | None, like: Path | None) -> imported.SourceMapping:
+    """The mapping of a file, or of a trial that was imported; the usual one for neither."""
+    if file is not None and like is not None:
+        raise ConfigurationError("mapping and like are both given", "give one of them")
+    if like is not None:
+        return imported.read_mapping(like)
+    if file is not None:
+        return read_document(file, imported.SourceMapping)
+    return imported.SourceMapping()
+
+
 def _mapping(
-    file: Path | None,
+    chosen: imported.SourceMapping,
     given: Mapping[str, str | None],
     numbers: Mapping[str, Mapping[str, float | str]],
     names: Sequence[str],
     wrench_of: WrenchOf | None,
 ) -> imported.SourceMapping:
-    """The mapping of a file, with what the options state."""
-    chosen = (
-        imported.SourceMapping() if file is None else read_document(file, imported.SourceMapping)
-    )
+    """A mapping, with what the options state."""
     for name in foreign.SOURCES:
         changes: dict[str, Any] = {}
         if given[name] is not None:

@@ -37,7 +37,7 @@ def fit(
     segment: str | Span | Segment = "plateau",
     *,
     params: PathLike | None = None,
-    variant: Variant | None = None,
+    variant: Variant | str | None = None,
     theta: float | None = None,
     weights: Weights | None = None,
     smoothness: float | None = None,
@@ -49,7 +49,8 @@ def fit(
 ) -> TrialFit:
     """Identify the contact model on a segment of a trial.
 
-    Settings default to those in `params`, or to those the trial was recorded with.
+    Settings default to those in `params`, or to those the trial was recorded with. `variant` takes
+    the name of a law of your own, too: see `st.register_law`.
 
     Args:
         trial: The trial.

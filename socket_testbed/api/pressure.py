@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping, Sequence
 
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.trials import as_trial, settings_of
-from socket_testbed.documents import check_number, mapping_of
+from socket_testbed.documents import check_kind, check_number, mapping_of, path_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.pressure import check_measured
+from socket_testbed.identification.survey_prior import SurveyPrior, read_survey
 from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
+from socket_testbed.results.survey import Survey
 from socket_testbed.samples import check_channels
 from socket_testbed.settings.options import PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -25,6 +28,7 @@ def force_map(
     segment: str | Span | Segment = "plateau",
     *,
     params: PathLike | None = None,
+    prior: Survey | PathLike | None = None,
 ) -> TrialMap:
     """Estimate the force on every tile from the clusters and the wrench, sample by sample.
 
@@ -36,13 +40,16 @@ def force_map(
         segment: As in `fit`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
 
     Returns:
         The map: `estimate` holds its arrays, `to_dataframe()` a row per sample, `summary()` the
         mean of each tile.
 
     Raises:
-        ConfigurationError: A setting or a file is wrong.
+        ConfigurationError: A setting or a file is wrong, or the survey is of another socket or
+            holds the trial.
         TrialError: The trial cannot be read or has no such segment, or no sample of it has a wrench
             or a cluster.
         IdentificationError: The measured values have another unit.
@@ -58,7 +65,7 @@ def force_map(
     """
     trial = as_trial(trial)
     settings = settings_of(trial, params)
-    return _mapped(trial, segment, settings)
+    return _mapped(trial, segment, settings, prior=prior)
 
 
 def _mapped(
@@ -66,12 +73,36 @@ def _mapped(
     segment: str | Span | Segment,
     settings: EstimatorSettings,
     geometry: SocketGeometry | None = None,
+    prior: Survey | PathLike | None = None,
 ) -> TrialMap:
+    learnt = prior_for(trial, prior)
     check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = trial.select(segment, settings)
     with threadpool_limits(1):
-        found = map_trial(trial, settings, geometry).part(chosen)
+        found = map_trial(trial, settings, geometry, learnt).part(chosen)
     check_measured(found.samples)
+    return found
+
+
+def prior_for(trial: Trial, prior: Survey | PathLike | None) -> SurveyPrior | None:
+    """What a survey taught, for a trial of its limb that is not in it.
+
+    Args:
+        trial: The trial.
+        prior: A result of `st.survey`, or the path of its file; None for no survey.
+
+    Raises:
+        ConfigurationError: The file is no survey, is of another socket, or holds the trial.
+    """
+    if prior is None:
+        return None
+    if isinstance(prior, Survey):
+        found = prior.learnt
+    else:
+        hint = "give a result of st.survey, or the path of its file"
+        check_kind(prior, (str, os.PathLike), "the prior", hint)
+        found = read_survey(path_of(prior, "the prior"))
+    found.require(str(trial.path), trial.geometry, trial.fingerprint)
     return found
 
 
@@ -84,6 +115,7 @@ def pressure(
     regions: Mapping[str, Sequence[str]] | None = None,
     params: PathLike | None = None,
     leave_out: Sequence[str] | None = None,
+    prior: Survey | PathLike | None = None,
 ) -> TrialPressure:
     """Pressure and shear of a socket by region and tile, with 95 % intervals.
 
@@ -101,13 +133,16 @@ def pressure(
             prior.
         leave_out: Channels to ignore, such as `distal.Fx` or `Mz`; `distal` ignores all of a
             cluster.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
 
     Returns:
         The outputs: `regions` and `tiles` are tables over the segment, `over_time()` one of every
         sample, `limb()` one of the limb's motion and stiffness.
 
     Raises:
-        ConfigurationError: A setting, a file or a region is wrong.
+        ConfigurationError: A setting, a file or a region is wrong, or the survey is of another
+            socket or holds the trial.
         TrialError: The trial cannot be read, has no such segment, or nothing was measured in it.
         IdentificationError: The measured values have another unit.
 
@@ -127,6 +162,6 @@ def pressure(
         hint = "give tiles by name, such as {'heel': ['distal']}"
         own = find_regions(mapping_of(regions, "regions", hint), geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
-    mapped = _mapped(trial, segment, settings, geometry)
+    mapped = _mapped(trial, segment, settings, geometry, prior)
     with threadpool_limits(1):
         return mapped.pressure(threshold, share)

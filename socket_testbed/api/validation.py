@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Unpack
 
 import numpy as np
-import pandas as pd
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api.pressure import prior_for
 from socket_testbed.api.trials import (
     Progress,
     as_path,
@@ -28,127 +28,26 @@ from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification import validation
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
-from socket_testbed.results.result import PathLike, Result
+from socket_testbed.results.result import PathLike
+from socket_testbed.results.survey import Survey
+from socket_testbed.results.validation import Validation
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import ValidationChoices
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import read_true_forces
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
-
 _MAX_FITTED = 12  # trials to fit models on, and trials to test each of them on
-
-
-@dataclass(frozen=True, repr=False)
-class Validation(Result):
-    """Estimates judged on held-out data; `save` writes the table of `by_trial`.
-
-    Attributes:
-        trials: Names of the trials that were read.
-        fitted: Names of those that models were fitted on, at most 12.
-        judgements: The errors of each predictor on each question, test and trial, by cluster where
-            clusters are left out.
-        metadata: Stated metadata of each of `trials`, in their order.
-    """
-
-    trials: tuple[str, ...]
-    fitted: tuple[str, ...]
-    judgements: tuple[validation.Judgement, ...]
-    metadata: tuple[TrialMetadata, ...]
-
-    def __repr__(self) -> str:
-        return (
-            f"Validation({len(self.trials)} trial{'s'[: len(self.trials) > 1]}, models fitted on"
-            f" {len(self.fitted)}; {len(self.judgements)} judgements)"
-        )
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """A row per judgement; no named index.
-
-        Columns:
-
-        - `question`: `cluster` (force on a left-out cluster), `wrench` (from the pose alone) or
-          `tiles` (forces on tiles without a sensor, known from a simulation);
-        - `predictor`: a model variant, `force map`, or a simple rival;
-        - `test`: relation of the samples to those of the fit: `left out`, `in-sample`,
-          `second half` or `other trial`;
-        - `fitted on`, `tested on`: names of the trials; the former is empty without a fit;
-        - `cluster`: the left-out one; empty for all of them together, and for other questions;
-        - `samples [1]`: number of samples;
-        - `error [-]`: of `cluster` and `tiles`, RMSE of the forces over their RMS, 1 if zero is
-          predicted;
-        - `moment RMSE [N m]`, `force RMSE [N]`, `moment skill [-]`, `force skill [-]`: of `wrench`,
-          means over the axes, and their skill against the best constant;
-        - `within 50 % [-]`, `within 80 % [-]`, `within 95 % [-]`: share of the true values inside
-          these intervals of the prediction.
-
-        Figures that a question or a predictor does not have are NaN.
-        """
-        return validation.judgements_table(self.judgements)
-
-    def summary(self) -> pd.DataFrame:
-        """Means over the trials, indexed by `question`, `test` and `predictor`.
-
-        The columns are the numeric ones of `to_dataframe`, with their means over all judgements
-        that take the clusters together; `judged [1]`, the number of these; `worst error [-]`; and
-        `median moment skill [-]` and `median force skill [-]`, which a single bad trial does not
-        affect. NaN as in `to_dataframe`.
-        """
-        return validation.summarise_judgements(self.judgements)
-
-    def by_trial(self) -> pd.DataFrame:
-        """A row per trial with its metadata and judgements, indexed by `trial`, its name.
-
-        Columns: the metadata `subject`, `side`, `socket`, `liner`, `mass [kg]`, `operator`,
-        `protocol` and `trial_notes`, None where not stated; then the figures of `to_dataframe` by
-        question, test and predictor, such as `wrench, second half: rigid_bias force skill [-]`.
-        Figures of the test `other trial` are medians over the models of other trials.
-
-        NaN for a figure that a trial does not have, all of them if it could not be judged.
-        """
-        stated = [metadata.columns() for metadata in self.metadata]
-        table = pd.DataFrame(stated, index=pd.Index(self.trials, name="trial"), dtype=object)
-        return table.join(validation.judgements_by_trial(self.judgements))
-
-    def _saved_table(self) -> pd.DataFrame:
-        return self.by_trial()
-
-    def _figure(self, style: FigureStyle) -> Figure:
-        """Errors by cluster and coverage of the intervals."""
-        from socket_testbed.report.validation import validation_figure
-
-        several = len(self.trials) > 1
-        name = f"{len(self.trials)} trials, means" if several else self.trials[0]
-        return validation_figure(self.judgements, f"{name}: validation", style)
-
-    def document(self) -> dict[str, Any]:
-        """The validation for JSON.
-
-        Returns:
-            The names `trials` and `fitted`; `levels`, the probabilities of the tested intervals
-            [-]; and `judgements`, with the share of the values within each level as `coverage`.
-        """
-        return {
-            "trials": list(self.trials),
-            "fitted": list(self.fitted),
-            "levels": list(validation.LEVELS),
-            "judgements": [record(judgement) for judgement in self.judgements],
-        }
 
 
 def validate(
     *trials: Trial | PathLike,
     segment: str | Span | Segment = "all",
     params: PathLike | None = None,
+    prior: Survey | PathLike | None = None,
     progress: Progress | None = None,
     **choices: Unpack[ValidationChoices],
 ) -> Validation:
@@ -169,6 +68,8 @@ def validate(
         trials: Trials of one socket.
         segment: As in `fit`.
         params: A `testbed.yaml` to use instead of each trial's own.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
         progress: See `Progress`.
         choices: `theta`, `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in
             `fit`.
@@ -179,7 +80,7 @@ def validate(
 
     Raises:
         ConfigurationError: No trial is given, one is given twice, they are of different sockets, or
-            a setting is wrong.
+            a setting is wrong, or the survey is of another socket or holds a trial.
         TrialError: A single trial cannot be read or has no such segment; none of several can be
             judged.
         IdentificationError: A single trial has too few samples under load to fit and to test.
@@ -191,7 +92,8 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    recordings = _recordings([*map(as_trial, trials_of(trials))], segment, as_path(params), choices)
+    opened = [*map(as_trial, trials_of(trials))]
+    recordings = _recordings(opened, segment, as_path(params), prior, choices)
     several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
@@ -213,7 +115,8 @@ def validate(
             report(next(done), total)
     names, fitted_names = (tuple(r.name for r in listed) for listed in (recordings, fitted))
     metadata = tuple(recording.trial.metadata for recording in recordings)
-    return Validation(names, fitted_names, tuple(judgements), metadata)
+    priors = tuple(recording.used for recording in recordings if recording.used)
+    return Validation(names, fitted_names, tuple(judgements), metadata, priors)
 
 
 @contextmanager
@@ -241,6 +144,7 @@ class _Recording:
     settings: EstimatorSettings
     samples: Samples
     prior_map: ForceMap | None = None
+    used: str = ""
 
     def judge(self, with_models: bool) -> list[validation.Judgement]:
         """Judgements on this trial alone, with or without model fits."""
@@ -290,6 +194,7 @@ def _recordings(
     trials: Sequence[Trial],
     segment: str | Span | Segment,
     params: Path | None,
+    prior: Survey | PathLike | None,
     choices: ValidationChoices,
 ) -> list[_Recording]:
     """Read the trials, which must be different and of one socket."""
@@ -306,8 +211,10 @@ def _recordings(
             loaded = np.zeros(len(checked.measured), dtype=bool)
             loaded[rows] = samples.under_load(settings.plateau.least_force)
             checked.part(loaded)  # refuses another unit
-            prior_map = checked.prior_map(settings.force_map)
-            found.append(_Recording(name, trial, settings, samples, prior_map))
+            learnt = prior_for(trial, prior)
+            prior_map = checked.prior_map(settings.force_map, learnt)
+            used = "" if learnt is None else f"{name}: {prior_map.source(samples[loaded[rows]])}"
+            found.append(_Recording(name, trial, settings, samples, prior_map, used))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")
     return found

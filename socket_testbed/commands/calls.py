@@ -30,6 +30,7 @@ from socket_testbed.settings.options import (
     PageOptions,
     PaperOptions,
     PressureOptions,
+    PriorOptions,
     RegistrationOptions,
     ReportOptions,
     Scenario,
@@ -319,6 +320,7 @@ class Mark(Options, summary="mark an event in the running graph, for the trial b
 class View(
     PageOptions,
     TrialFiles,
+    PriorOptions,
     summary="view the running testbed, or play a trial, in a browser: pressure map, wrench,"
     " sensors",
 ):
@@ -457,7 +459,9 @@ class Survey(
         "a socket.yaml for each trial, in their order, instead of their own: where its clusters are"
     )
     output: Path | None = option(
-        None, "a page (.html), or a table (.csv, .parquet) of the judged values"
+        None,
+        "a page (.html), a table (.csv, .parquet) of the judged values, or the survey (.json) as"
+        " the --prior of the next trial",
     )
     figure: Path | None = option(None, "draw each trial's own map and the completed one")
 

@@ -158,7 +158,8 @@ def doctor(call: calls.Doctor) -> None:
             findings = examine_running(testbed, user, states)
         else:
             findings = examine(testbed)
-        if not call.press and testbed.settings.align_node.is_used:
+        settings = testbed.settings
+        if not call.press and (settings.align_node.is_used or settings.trigger_node.topic):
             findings += _foreign_findings(testbed)
     rows = [[f.what, "failed" if f.hint else "ok", f.found, f.hint] for f in findings]
     print(table(["what", "", "found", "hint"], rows))
@@ -168,16 +169,17 @@ def doctor(call: calls.Doctor) -> None:
 
 
 def _foreign_findings(testbed: bringup.Testbed) -> list[Outcome]:
-    """Judge the sources of other drivers, by listening to them for some seconds."""
+    """Judge the sources of other drivers and their triggers, by listening for some seconds."""
     check_sources(testbed.settings.align_node, full_namespace(testbed.namespace))
     require_ros()
     from socket_testbed.nodes.foreign_topics import hear_sources  # needs ROS
 
     namespace = full_namespace(testbed.namespace)
     settings = testbed.settings
-    return judge_sources(
-        testbed, hear_sources(settings.align_node, settings.cluster_names, namespace)
+    heard = hear_sources(
+        settings.align_node, settings.trigger_node.topic, settings.cluster_names, namespace
     )
+    return judge_sources(testbed, heard)
 
 
 def _check_faults(faults: Mapping[str, float], testbed: bringup.Testbed) -> None:

@@ -18,6 +18,7 @@ from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_check import GOOD
+from socket_testbed.identification.survey_prior import read_survey
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.options import (
     RECORDED,
@@ -37,7 +38,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from socket_testbed.api import Result
 
-_FILES = ("geometry", "calibration", "load_cell", "params", "model")
+_FILES = ("geometry", "calibration", "load_cell", "params", "model", "prior")
 # Options of which the outputs of a batch do not depend, or which its jobs compare by themselves.
 _NO_SETTINGS = {*_FILES, "output", "replace", "command", "figure", "json"}
 _NO_SETTINGS |= {"trial", "jobs", "dask", "again", "alone"}
@@ -121,9 +122,13 @@ def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None
 
 
 def check_settings(options: Options) -> None:
-    """Refuse settings of a fit that are wrong for any trial, before one is read."""
+    """Refuse settings and a survey that are wrong for any trial, before one is read."""
     choices = given(options, IdentificationSettings)
+    choices.pop("prior", None)  # the option is a survey, the setting of this name a weight
     estimator_settings(EstimatorSettings(), getattr(options, "params", None), **choices)
+    prior: Path | None = getattr(options, "prior", None)
+    if prior is not None:
+        read_survey(prior)
 
 
 def open_all(paths: Sequence[Path], files: TrialFiles) -> list[Trial]:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from socket_testbed import api
-from socket_testbed.api.comparison import LEGEND, open_compared
-from socket_testbed.api.survey import LEGEND as SURVEY_LEGEND
+from socket_testbed.api.comparison import open_compared
 from socket_testbed.api.survey import open_surveyed
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
@@ -41,8 +40,11 @@ from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
+from socket_testbed.results.comparison import LEGEND
+from socket_testbed.results.survey import LEGEND as SURVEY_LEGEND
 from socket_testbed.settings.options import (
     ComparisonOptions,
+    PriorOptions,
     ReportOptions,
     SensorFiles,
     SurveyOptions,
@@ -162,7 +164,8 @@ def survey(call: calls.Survey) -> None:
     """Judge and complete the map of one limb by trials with moved clusters."""
     output = call.output
     page = output if output and output.suffix.lower() in PAGES else None
-    check_files(output, call.figure, replace=call.replace, table=page is None)
+    kept = output is not None and output.suffix.lower() == ".json"
+    check_files(output, call.figure, replace=call.replace, table=page is None and not kept)
     trials = _surveyed(call)
     for each in open_surveyed(trials):  # wrong calls fail before data is read
         report_data(each, leave_out=left_out(each, call))
@@ -225,7 +228,8 @@ def view(call: calls.View) -> None:
     refuse_given(live, "the running testbed", "leave out the trial")
     opened = open_given(call.trial, call)
     report_data(opened)
-    with api.view(opened, call.model, host=call.host, port=call.port, names=names) as page:
+    found = given(call, PriorOptions)
+    with api.view(opened, call.model, host=call.host, port=call.port, names=names, **found) as page:
         say(f"the trial is shown at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             while time.monotonic() < ends:
@@ -239,6 +243,7 @@ def _follow(call: calls.View, ends: float) -> None:
         "calibration": call.calibration,
         "load_cell": call.load_cell,
         "tare": call.tare,
+        "prior": call.prior,
     }
     refuse_given(for_trials, "a trial", "give the folder of the trial")
     settings = ViewSettings(

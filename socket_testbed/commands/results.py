@@ -12,7 +12,6 @@ import pandas as pd
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
-from socket_testbed.api.cycles import MAX_PANELS
 from socket_testbed.batch import Row
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
@@ -38,6 +37,7 @@ from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
+from socket_testbed.results.cycles import MAX_PANELS
 from socket_testbed.results.pressure import TILE_TITLES
 from socket_testbed.results.pressure_text import cells, limb_cells
 from socket_testbed.settings.identification import PAPER_VARIANTS
@@ -195,6 +195,8 @@ def _show_validation(found: api.Validation) -> None:
             f"{len(found.trials)} trials, means over them; models fitted on {len(found.fitted)}:"
             f" {', '.join(found.fitted)}"
         )
+    for line in found.priors:
+        print(line)
     for judged in judged_tables(found.judgements):
         print(f"\n{judged.caption}\n\n{text_of(judged)}")
     print(f"\n{textwrap.fill(LEGEND, 100)}")

@@ -5,12 +5,13 @@ Heights are measured from the distal end, angles from anterior towards left.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.geometry.socket import (
     HEIGHTS,
     SECTOR_PARTS,
@@ -251,3 +252,19 @@ def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Reg
         own.append(Region(UNMEASURED, bare))
     every = Region(SOCKET, np.arange(len(geometry)))
     return (*anatomical_regions(geometry, side), *own, every)
+
+
+def tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
+    """Indices of the tiles of a region, or of the tile of that name, shape (k,).
+
+    Args:
+        name: Name of the region or tile.
+        tiles: Indices of the tiles keyed by the names of regions and tiles.
+
+    Raises:
+        ConfigurationError: If there is no region or tile of this name.
+    """
+    if name not in tiles:
+        fact = f"--keep-out: there is no region or tile '{name}'"
+        raise ConfigurationError(fact, closest(name, tiles))
+    return tiles[name]

@@ -22,8 +22,9 @@ gate that judges samples once for everything else. It has three rule books:
 Whether a model is believable is another question: `information` shows what the trial's motion
 determines, and `validation` tests estimates on unseen data, next to simple baselines. `survey`
 tests the force map by what clusters measured elsewhere in other trials of the limb, and completes
-it from them. None of the three judges a sample. `trials.segment` selects a steady part of sound
-samples, and judges none either.
+it from them; `survey_prior` makes what they tell the prior of the limb's next trial. None of the
+three judges a sample. `trials.segment` selects a steady part of sound samples, and judges none
+either.
 
 `suspension` measures the stiffness between limb and socket without a model, `differences` compares
 trials.

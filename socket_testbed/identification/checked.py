@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from socket_testbed.arrays import BoolArray
 from socket_testbed.geometry.socket import SocketGeometry
@@ -24,6 +24,9 @@ from socket_testbed.identification.noise import ChannelNoise, channel_noise
 from socket_testbed.identification.plausibility import Outliers
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import ForceMapSettings
+
+if TYPE_CHECKING:
+    from socket_testbed.identification.survey_prior import SurveyPrior
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class CheckedSamples:
     leave_out: tuple[str, ...] = ()
     whole: bool = True
     evidence: Callable[[], Evidence] = Evidence
-    _maps: dict[tuple[ForceMapSettings, bool], ForceMap] = field(
+    _maps: dict[tuple[ForceMapSettings, bool, SurveyPrior | None], ForceMap] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -131,29 +134,38 @@ class CheckedSamples:
         plausibility.require_position(self.measured[rows], self.geometry)
         return self.samples[rows]
 
-    def force_map(self, settings: ForceMapSettings) -> ForceMap:
+    def force_map(self, settings: ForceMapSettings, prior: SurveyPrior | None = None) -> ForceMap:
         """The force map whose prior is weighed by the evidence of all N samples.
 
         Args:
-            settings: Sizes and spreads of the prior.
+            settings: Sizes and spreads of the ordinary prior.
+            prior: A survey of the limb; None for the ordinary prior alone.
 
         Raises:
             IdentificationError: If the samples are in another unit or frame.
         """
-        key = settings, True
-        if key not in self._maps:
-            plausibility.require_units(self.measured, self.geometry, self.leave_out)
-            clusters = self.measured.clusters
-            self._maps[key] = ForceMap(self.geometry, clusters, settings, self.counted)
-        return self._maps[key]
+        plausibility.require_units(self.measured, self.geometry, self.leave_out)
+        return self._map(settings, True, prior)
 
-    def prior_map(self, settings: ForceMapSettings) -> ForceMap:
+    def prior_map(self, settings: ForceMapSettings, prior: SurveyPrior | None = None) -> ForceMap:
         """The force map whose prior is weighed by the samples that it is given, see `ForceMap`.
 
         Args:
-            settings: Sizes and spreads of the prior.
+            settings: Sizes and spreads of the ordinary prior.
+            prior: A survey of the limb; None for the ordinary prior alone.
         """
-        key = settings, False
+        return self._map(settings, False, prior)
+
+    def _map(
+        self, settings: ForceMapSettings, weighed: bool, prior: SurveyPrior | None
+    ) -> ForceMap:
+        key = settings, weighed, prior
         if key not in self._maps:
-            self._maps[key] = ForceMap(self.geometry, self.measured.clusters, settings)
+            for other in [*self._maps]:
+                if other[2] not in (None, prior):  # a map with a survey is large
+                    del self._maps[other]
+            trial = self.counted if weighed else None
+            clusters = self.measured.clusters
+            surveyed = None if prior is None else prior.expected(self.geometry, clusters)
+            self._maps[key] = ForceMap(self.geometry, clusters, settings, trial, surveyed)
         return self._maps[key]

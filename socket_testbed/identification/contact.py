@@ -9,7 +9,7 @@ with the limb's motion u since a reference pose, the displacement v_i of tile i 
 frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and the
 scales of its parameters; `problem` does the rest for any law. In arrays the frame's axis precedes
 the tile. To add a law, derive from `ContactLaw`, and list its variants in `LAWS` and in
-`settings.identification`.
+`settings.identification`; outside the package, `register_law` does both.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from inspect import isabstract
 from typing import ClassVar
 
 import numpy as np
@@ -27,7 +28,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.wrench import PoseTrail, WrenchModel
 from socket_testbed.samples import relative_pose
-from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.settings.identification import IdentificationSettings, add_variant
 
 _CHUNK = 4096  # samples; a prediction's memory grows with samples times tiles
 _MAX_SETTLING = 0.02  # [m]; limit for a loaded limb, which bounds the bed's stiffness below
@@ -45,9 +46,13 @@ def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
     Returns:
         The gates, within 0 to 1, of the shape of the displacements [-]; NaN for NaN.
     """
+    found = np.array(displacement, dtype=np.float64)
+    found *= 2.0 * sharpness  # in place: fits of long trials spend much of their time here
     # Far outside the contact the exponential overflows to infinity, where the gate is 0.
     with np.errstate(over="ignore"):
-        return np.asarray(1.0 / (1.0 + np.exp((2.0 * sharpness) * displacement)))
+        np.exp(found, out=found)
+    found += 1.0
+    return np.divide(1.0, found, out=found)
 
 
 def relative_change(force: FloatArray) -> float:
@@ -541,7 +546,53 @@ LAWS: dict[str, type[ContactLaw]] = {
     "rigid": RigidLaw,
     "rigid_bias": RigidLaw,
 }
-"""The law of each variant."""
+"""The law of each variant; `register_law` adds others."""
+
+
+def register_law(variant: str, law: type[ContactLaw], offsets: bool = False) -> None:
+    """Make a contact law of one's own a variant, until Python ends.
+
+    `st.fit` then takes the variant by its name, and models of it are saved, read, evaluated and
+    compared by `st.validate` like any other. A model's file names its law but does not hold it:
+    whatever reads the file registers the law first, so that live nodes and the command line, which
+    know the package's laws alone, refuse it.
+
+    Args:
+        variant: Name of the variant, such as `hardening`; a name registered before gets this law.
+        law: The class of the law, derived from `contact.ContactLaw` or one of its laws.
+        offsets: Whether constant offsets of the wrench and the clusters are fitted, too.
+
+    Raises:
+        ConfigurationError: The name is one of the package's or none, or the law is not a complete
+            `ContactLaw`.
+
+    >>> from socket_testbed.identification.contact import RigidLaw
+    >>> class Sharp(RigidLaw):
+    ...     SHARPNESS = "gate_sharpness"  # 2000 /m, not 1000 /m
+    >>> st.register_law("sharp", Sharp)
+    >>> st.fit(st.open_trial("trials/hold"), variant="sharp")
+    TrialFit(sharp on hold, plateau ... s, theta 0.5; mean moment RMSE ... N)
+    """
+    if not (isinstance(law, type) and issubclass(law, ContactLaw)) or isabstract(law):
+        lacking = ", ".join(sorted(getattr(law, "__abstractmethods__", ()))) or "its methods"
+        raise ConfigurationError(
+            f"the law of '{variant}' is no complete ContactLaw",
+            f"derive a class from it that defines {lacking}",
+        )
+    add_variant(variant, offsets)
+    LAWS[variant] = law
+
+
+def law_of(variant: str) -> type[ContactLaw]:
+    """The law of a variant.
+
+    Raises:
+        ConfigurationError: If it is neither of the package nor registered.
+    """
+    if variant not in LAWS:
+        hint = "name one of the package's, or register its law first, with st.register_law"
+        raise ConfigurationError(f"the contact law '{variant}' is unknown", hint)
+    return LAWS[variant]
 
 
 @dataclass(frozen=True)
@@ -550,7 +601,7 @@ class ContactModel:
 
     Attributes:
         variant: The law, `stiffness` as published or `rigid` by the limb's pose; with `_bias` the
-            model has offsets.
+            model has offsets. Or the name of a law of `register_law`.
         names: Names of the n tiles (points of interest).
         anchors: Points of application a_i, the tiles' centres in {S}, shape (n, 3) [m].
         rotations: Frames {L_i} of the tiles, shape (n, 3, 3) [-]; R_i maps {L_i} to {S}, its
@@ -574,7 +625,7 @@ class ContactModel:
             wrench.
     """
 
-    variant: Variant
+    variant: str
     names: tuple[str, ...]
     anchors: FloatArray
     rotations: FloatArray
@@ -715,7 +766,7 @@ class ContactModel:
     @cached_property
     def law(self) -> ContactLaw:
         """The contact law at the model's reference pose."""
-        kind = LAWS[self.variant]
+        kind = law_of(self.variant)
         return kind(self.anchors, self.rotations, self.sharpness, self.reference_pose)
 
     def _springs(self, motion: FloatArray, points: list[int] | slice = slice(None)) -> FloatArray:

@@ -7,12 +7,15 @@ unit's doing. Then come the defects that the readings show (`trials.raw_check`),
   follow the force along the socket. This reveals a reversed sign, a late or dead source.
 - Beside the load, the limb turns as its moments say and presses the wall towards which it moves
   (`limb_motion`). This reveals wrong axes, negated moments, exchanged clusters and short delays.
-- If all of that is good, each cluster is compared with the force map of the others and the wrench.
-- Each source alone: missing, frozen, clipped, noisy; single values and poses that jump.
+- Horizontal forces have the moments of a height above or below the load cell. This reveals mirrored
+  forces, and moments in another unit.
+- If all of that is good, sources that drift are named, or else the cluster that contradicts the
+  force map of the others and the wrench.
+- Each source alone: missing, frozen, clipped, noisy; single values and steps that no other source
+  feels, poses that jump.
 
-The thresholds leave a margin to 256 sound simulated trials of 20 to 300 s (four scenarios, soft and
-stiff, 1 to 100 Hz). A single trial cannot reveal a gain or offset that is consistent with the
-wrench, or a slow drift; and without horizontal motion, two exchanged clusters under similar load.
+The thresholds leave a margin to 200 sound simulated trials of 20 to 300 s (four scenarios, soft and
+stiff, 0.5 to 100 Hz). What a single trial cannot reveal stands in `docs/faults.md`.
 """
 
 from __future__ import annotations
@@ -39,7 +42,9 @@ from socket_testbed.identification.limb_motion import (
     NEGATED,
     OPPOSITE,
     LimbMotion,
+    height_of_forces,
     limb_motion,
+    mirrored_forces,
     misfit_of,
 )
 from socket_testbed.identification.noise import (
@@ -75,16 +80,20 @@ MIN_LAG_GAIN = 0.03  # [-]; gain in correlation for a lag to count
 MIN_LAG_FIT = 0.5  # [-]; correlation with the lag
 MAX_POSE_LAG = 0.3  # [s]; of the pose behind the moments; sound <= 0.12
 MIN_POSE_FIT = 0.8  # [-]; their correlation with that lag
-MAX_CLUSTER_LAG = 0.9  # [s]; of a cluster behind the indentation of its tile
-MIN_CLUSTER_FIT = 0.4  # [-]; their correlation with that lag
-MIN_CLUSTER_GAIN = 0.6  # [-]; in their correlation by that lag; sound <= 0.37
-MAX_LATE_FIT = 0.9  # [-]; of their correlation at once, that any lag could improve clearly
-MIN_LATE_FIT = 0.85  # [-]; of their correlation with a lag, to tell it by what is left over,
-MIN_LATE_GAIN = 0.3  # [-]; and the fall of log(1 - r^2) / 2 by that lag; sound <= 0.11
+MAX_CLUSTER_LAG = 0.6  # [s]; of a cluster behind load and indentation
+MIN_DELAY_TIME, MIN_DELAY_SAMPLES = 30.0, 100  # [s], [1]; of a trial, to search it for delays
+# [-]; of a cluster, and of a pose without pushes: share of the variance explained with that delay,
+# and the fall of log(1 - share) / 2 by it; sound gains up to 0.36 and 0.18 of delays beyond 0.35 s
+MIN_CLUSTER_DELAY = (0.8, 0.5)
+MIN_POSE_DELAY = (0.6, 0.3)
 SEARCHED_LAG = 10.0  # [s]
+SEARCHED_SHARE = 0.2  # [-]; of a trial, at most
+DELAY_STEP = 0.1  # [s]; at least
 LAG_STEP = 0.04  # [s]; at least
 MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
-MAX_INNOVATION = 3.5  # [-]; innovation of a cluster over its deviation; sound <= 3.3
+# [-]; innovation of a cluster over its deviation; pressure is skewed: sound -1.4 to 2.8
+INNOVATIONS = (-1.9, 3.5)
+LOCAL_VARIATION = 4e3  # [Pa]; of pressure under a single tile, beyond what the map's prior knows
 _USUAL_DEPARTURE = 0.97  # quantile of a channel's departures that are usual
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
@@ -92,16 +101,28 @@ STILL, CAPACITY = "not change for", "of its full scale"  # words of findings
 WRITE_QUATERNIONS = "give quaternions as"  # start of the hint of a finding
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
 MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published errors 11 N
+MAX_POSE_NOISE = (2e-3, 0.03)  # [m, rad]; sound 0.04 mm and 0.0008 rad
+NOISIER = (8.0, 1.5)  # [-, N]; of a cluster than the others, and at least; sound 2.8, 0.3 N
 # [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
 # relative to the clusters' share of the socket's area; sound 0.03 to 0.18, that is up to 3.4
 LOCAL_SHARE = (0.001, 10.0)
 MAX_BORNE = 20.0  # [-]; usual force on all clusters over the usual load; sound 0.05 to 0.3
+MAX_HEIGHT = 2.0  # [m]; moment over horizontal force beside the load; sound 0.52
+MIN_HEIGHT_FIT = 0.8  # [-]; of their correlation, to judge it
+AREA_RATIO = (0.1, 10.0)  # [-]; squared distance of neighbouring tiles over their area; 1.5
+MAX_PULL = 100.0  # [N]; of a socket towards its proximal end; sound none
+PULL_QUANTILE = 0.05  # of the load, to judge that pull
+MIN_DRIFT_TIME = 50.0  # [s]; of a trial, to judge drifts
+MAX_DRIFT = 12e3  # [Pa]; of a cluster beside wrench and pose; sound 6 kPa
+MAX_POSE_DRIFT = 2e-3  # [m]; of the limb across the socket beside the wrench; sound 0.3 mm
 MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
 MIN_AXES_GAIN = 0.25  # [-]; in correlation of rotation and moment by other axes; sound below 0
 MIN_CLEAR_GAIN = 0.1  # [-]; the same where other axes agree as well as while hands push
 MIN_POSE_GAIN = 0.3  # [-]; in the clusters' fit to the pose, to say that its axes are wrong
 MIN_AGREEMENT = 0.94  # [-]; of rotation and moment while hands push from all sides
 MIN_PUSH = 0.5  # [N m]; standard deviation of a moment beside the load; of sway up to 0.2
+MIN_MIRRORED_FIT = 0.6  # [-]; correlation of moments and forces in mirrored axes; sound <= 0.5
+MIN_MIRRORED_GAIN = 0.3  # [-]; over that of the forces as they are; sound <= -0.05
 # [-]; in the fit of two clusters by exchanging them, while pushed and otherwise; sound <= 0.63
 MIN_EXCHANGE_GAIN = (0.4, 1.0)
 MIN_SPIKE = 8.0  # [-]; of a single value from both neighbours, over the usual ones and the noise
@@ -109,8 +130,15 @@ FELT_SPIKE = 4.0  # [-]; of another source at the same sample, which then felt i
 SPIKE_SHARE = 0.05  # [-]; of a wrench's spike in the usual size of its group; sound 0.026
 POSE_SPIKES = (3e-4, 5e-3)  # [m, rad]; sound 0.05 mm and nothing
 LEAST_SPIKES = 2
+CLEAR_SPIKE = 2.5  # [-]; of a spike over these limits, if there is only one; sound ratio 15
+MIN_STEP_RATIO = 10.0  # [-]; of a step over the usual ones and the noise; sound 8.2, if large 6.6
+STEP_SHARE = 0.1  # [-]; of a wrench's step in the usual size of its group
+POSE_STEPS = (1.5e-3, 0.01)  # [m, rad]; sound 0.3 mm
+MIN_STEP = 2.0  # [N]; of the force on a cluster
+_STEP_ALONE = 0.5  # [-]; of the steps before and after, in that between them
+_KINK_NOISE = np.sqrt(5.0)  # [-]; root sum of squares of the weights of `_kinks`
 POSE_JUMPS = (0.02, 0.15)  # [m, rad]; from one sample to the next
-LOAD_RANGE = (0.05, 5.0)  # [-]; load over the weight of a stated mass
+LOAD_RANGE = (0.12, 5.0)  # [-]; load over the weight of a stated mass; 0.10 for kgf when standing
 MIN_SINKING = 0.5  # [-]; cosine between the limb's motion under load and the axis; sound >= 0.996
 MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
 
@@ -164,7 +192,7 @@ def check_data(
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
-    units = [*_units(samples.centred(), geometry, mass, leave_out)]
+    units = [*_areas(geometry), *_units(samples.centred(), geometry, mass, leave_out)]
     found = [finding for finding, _ in units]
     # Whatever else a channel in another unit seems to show, its unit causes.
     unclear = tuple(chain.from_iterable(channels for _, channels in units))
@@ -184,14 +212,16 @@ def check_data(
         found_over_time = [*_time_series(posed, geometry, noise, in_doubt)]
         found += found_over_time
         if not found_over_time and not in_doubt:
-            found += _disagreements(counted, geometry, noise, prior_map)
+            found += [*_drifts(counted, geometry)] or [
+                *_disagreements(counted, geometry, noise, prior_map)
+            ]
     stopped = {each.source for each in raw if STILL in each.fact}
     found += [
         each
         for each in _channels(samples, noise, leave_out)
         if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
     ]
-    found += [*_jumps(counted), *_spikes(counted)]
+    found += [*_jumps(counted), *_spikes(counted), *_steps(counted)]
     notes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in notes]
     return tuple(found)
@@ -230,6 +260,24 @@ def _known(
         by_unit = CAPACITY in finding.fact and own & {*unclear}
         if not own <= {*leave_out} and not by_unit:
             yield finding
+
+
+def _areas(geometry: SocketGeometry) -> Iterator[tuple[DataFinding, tuple[str, ...]]]:
+    """Areas of tiles that do not fit their distances; with no channel, as in `_units`."""
+    one, other = geometry.neighbours.T
+    if not len(one):
+        return
+    squares = ((geometry.anchors[one] - geometry.anchors[other]) ** 2).sum(axis=1)
+    areas = np.sqrt(geometry.areas[one] * geometry.areas[other])
+    ratio = float(np.median(squares / areas))
+    if not AREA_RATIO[0] <= ratio <= AREA_RATIO[1]:
+        area, distance = 1e4 * np.median(areas), 1e3 * np.sqrt(np.median(squares))
+        finding = DataFinding(
+            "the socket",
+            f"its tiles have {area:.2g} cm^2, and the next one is {distance:.2g} mm away",
+            "check that areas are in m^2 and anchors in m in socket.yaml",
+        )
+        yield finding, ()
 
 
 def _units(
@@ -405,34 +453,30 @@ class _Courses:
     def motion_lags(self) -> dict[str, float]:
         """Delays that the limb's motion beside the load shows, by source, as in `lags` [s].
 
-        They are of the pose behind the moments, or else of single clusters behind the pose. Tissue
-        creeps under the load, hardly beside it, so that they may be short.
+        They are of the pose behind the moments, or else of single clusters behind load and pose.
+        Tissue creeps under the load, hardly beside it, so that they may be short.
         """
         if self.pose_lag:
             return {"the limb pose": self.pose_lag}
-        if self.motion is None or self.wrong_axes or self.exchanged:
-            return {}
-        if not self.is_pushed or not self.is_regular:
+        if self.motion is None or self.wrong_axes or self.exchanged or not self.is_long:
             return {}
         motion, period = self.motion, usual_period(self.motion.time)
         found = {}
-        limit = max(MAX_CLUSTER_LAG, 2.5 * period)
-        sources = zip(self.samples.clusters, motion.indentation.T, motion.pressing.T, strict=True)
-        for name, tile, own in sources:
-            if _correlation(tile, own) > MAX_LATE_FIT:
-                continue  # no delay can fit clearly better
-            lag, fit, at_once = _best_lag(tile, own, period)
-            # One that moves against its tile at once is reversed rather than late.
-            clear = fit > max(MIN_CLUSTER_FIT, at_once + MIN_CLUSTER_GAIN, -at_once)
-            at_once_misfit, late_misfit = misfit_of(np.array([at_once, fit]))
-            clear |= fit > MIN_LATE_FIT and at_once_misfit - late_misfit > MIN_LATE_GAIN
-            if clear and abs(lag) > limit:
-                found[name] = lag
+        for column, name in enumerate(self.samples.clusters):
+            causes = motion.causes[:, [0, 1, 2 + column]]
+            delay = _delay(motion.measured[:, [column]], causes, period, MIN_CLUSTER_DELAY)
+            if abs(delay) > max(MAX_CLUSTER_LAG, 2.5 * period):
+                found[name] = delay
+        if (
+            len(found) == len(self.samples.clusters)
+            and np.ptp([*found.values()]) <= MAX_CLUSTER_LAG
+        ):
+            return {"the clusters": float(np.median([*found.values()]))}
         return found
 
     @cached_property
     def pose_lag(self) -> float:
-        """Delay of the limb's rotation behind the moments, beside the load; 0 if it is short [s].
+        """Delay of the limb's motion behind the wrench, beside the load; 0 if it is short [s].
 
         While hands push around the limb, a delay looks like turned axes: what fits better counts.
         """
@@ -445,7 +489,26 @@ class _Courses:
         lag, fit, at_once = _best_lag(moment, rotation, period)
         gain = max(0.0, motion.axes_of_moment()[1])
         clear = fit > max(at_once + max(gain, MIN_LAG_GAIN), MIN_POSE_FIT)
-        return lag if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period) else 0.0
+        if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period):
+            return lag
+        return 0.0 if self.is_pushed else self._delay_of_pose
+
+    @cached_property
+    def _delay_of_pose(self) -> float:
+        """Delay of the limb's horizontal motion behind the wrench; 0 if it is short [s]."""
+        samples = self.samples
+        known = samples.has_pose & np.isfinite(samples.wrench).all(axis=1)
+        if not self.is_long:
+            return 0.0
+        causes = np.column_stack([samples.time, samples.wrench])[known]
+        delay = _delay(samples.pose[known][:, [0, 1, 3, 4]], causes, self.period, MIN_POSE_DELAY)
+        return delay if abs(delay) > max(MAX_CLUSTER_LAG, 2.5 * self.period) else 0.0
+
+    @cached_property
+    def is_long(self) -> bool:
+        """Whether the motion is known long and regularly enough to search it for delays."""
+        long_enough = float(self.samples.time[-1]) >= MIN_DELAY_TIME - self.period
+        return self.is_regular and long_enough and len(self.samples) >= MIN_DELAY_SAMPLES
 
     @cached_property
     def are_simultaneous(self) -> bool:
@@ -553,6 +616,21 @@ def _negated_wrench(courses: _Courses) -> Iterator[DataFinding]:
         yield DataFinding("the wrench", courses.sign_note, hint)
 
 
+def _pulling_wrench(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench that pulls at the socket for a while, as one that was tared under load."""
+    if courses.sign_note or courses.load_in_doubt or not np.isfinite(courses.load).any():
+        return
+    pull = -finite_quantile(courses.load, PULL_QUANTILE)
+    if pull > MAX_PULL:
+        yield DataFinding(
+            "the wrench",
+            f"it pulls at the socket with {pull:.3g} N for {100.0 * PULL_QUANTILE:.0f} % of the"
+            " samples, more than a hanging prosthesis",
+            "check that it was tared without load (--tare T0:T1 takes another tare), unless the"
+            " limb was pulled",
+        )
+
+
 def _small_clusters(courses: _Courses) -> Iterator[DataFinding]:
     """Clusters that are loaded, but far less than the load."""
     if not courses.load_shows_others:
@@ -606,6 +684,31 @@ def _horizontal_axes(courses: _Courses) -> Iterator[DataFinding]:
             fact,
             "check the mounting of the load cell, the signs of its moments, and the registration of"
             " the marker bodies",
+        )
+
+
+def _unlikely_heights(courses: _Courses) -> Iterator[DataFinding]:
+    """Horizontal forces whose moments would take a leg of several metres."""
+    height, fit = height_of_forces(courses.samples)
+    if fit > MIN_HEIGHT_FIT and height > MAX_HEIGHT:
+        yield DataFinding(
+            "the wrench",
+            f"its horizontal forces have moments at a lever of {height:.2g} m",
+            "check that moments are in N m (lbf in, N cm?) and forces in N (kgf?)",
+        )
+
+
+def _mirrored_forces(courses: _Courses) -> Iterator[DataFinding]:
+    """Horizontal forces that have no height at which their moments are those of the wrench."""
+    if courses.wrong_axes or courses.sign_note:
+        return
+    axes, mirrored, own = mirrored_forces(courses.samples)
+    if mirrored > max(MIN_MIRRORED_FIT, own + MIN_MIRRORED_GAIN):
+        yield DataFinding(
+            "the wrench",
+            f"its horizontal forces have its moments only if their axes were {axes} (correlation"
+            f" {mirrored:.2f}, as they are {own:.2f})",
+            "check the rows and signs of the load cell's matrix, and its bridges' wiring",
         )
 
 
@@ -673,9 +776,12 @@ _RULES_OF_COURSES = (
     _small_load,
     _little_load,
     _negated_wrench,
+    _pulling_wrench,
     _small_clusters,
     _late_sources,
     _horizontal_axes,
+    _unlikely_heights,
+    _mirrored_forces,
     _exchanged_clusters,
     _reversed_clusters,
     _idle_clusters,
@@ -689,6 +795,48 @@ def _time_series(
     """Sizes, signs and lags, and whether each source follows the load."""
     courses = _Courses(samples, geometry, noise, load_in_doubt)
     return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
+
+
+def _drifts(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+    """Sources that change steadily over the trial, beside what wrench and pose explain."""
+    time = samples.time
+    if time[-1] < MIN_DRIFT_TIME:
+        return
+    stepped = {each.source for each in _steps(samples)}
+    proximal = proximal_direction(geometry)
+    across = samples.position - np.outer(samples.position @ proximal, proximal)
+    drift = float(np.linalg.norm(_drift(across, samples.wrench, time)))
+    if drift > MAX_POSE_DRIFT and "the limb pose" not in stepped:
+        yield DataFinding(
+            "the limb pose",
+            f"it drifts by {1e3 * drift:.2g} mm across the socket over the trial, beside the load",
+            "check that the marker bodies are tight, and the zero of the load cell's moments",
+        )
+        return
+    causes = np.hstack([samples.wrench, samples.pose])
+    for column, name in enumerate(samples.clusters):
+        pressure = -samples.trusted_forces[:, [column], 2] / geometry.areas[geometry.clusters[name]]
+        drift = float(_drift(pressure, causes, time)[0])
+        if abs(drift) > MAX_DRIFT and name not in stepped:
+            yield DataFinding(
+                name,
+                f"it drifts by {1e-3 * drift:.2g} kPa over the trial, beside load and pose",
+                "take the drift off with --unloaded, and check the sensor",
+            )
+
+
+def _drift(courses: FloatArray, causes: FloatArray, time: FloatArray) -> FloatArray:
+    """Change of courses (N, k) over their times (N,) beside what is linear in causes (N, m), (k,).
+
+    It is 0 if too few samples are known. Times are in s.
+    """
+    known = np.isfinite(courses).all(axis=1) & np.isfinite(causes).all(axis=1)
+    if known.sum() < LEAST_CHECKED:
+        return np.zeros(courses.shape[1])
+    scaled = causes[known] - causes[known].mean(axis=0)
+    scaled /= np.maximum(scaled.std(axis=0), 1e-12)
+    columns = np.column_stack([np.ones(len(scaled)), time[known] / time[-1], scaled])
+    return np.asarray(np.linalg.lstsq(columns, courses[known], rcond=1e-8)[0][1])
 
 
 def _disagreements(
@@ -705,13 +853,14 @@ def _disagreements(
     prior = ForceMapSettings()  # the data is judged alike, whatever the trial's settings
     errors = measurement_errors(samples, noise.local_forces, prior)
     force_map = None if prior_map is None else prior_map(prior)
-    worst = (MAX_INNOVATION, "", "")
+    worst = (1.0, "", "")
     pressures = left_out_pressures(compared, geometry, force_map)
     for error, (name, measured, expected, deviation) in zip(errors, pressures, strict=True):
         if np.isfinite(measured).any():
             own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
-            scale = np.hypot(deviation, own)
-            off = abs(float(np.nanmean((measured - expected) / scale)))
+            scale = np.hypot(np.hypot(deviation, own), LOCAL_VARIATION)
+            off = float(np.nanmean((measured - expected) / scale))
+            off /= INNOVATIONS[1] if off > 0.0 else INNOVATIONS[0]
             means = (np.nanmean(of) for of in (measured, expected, NORMAL_QUANTILE * scale))
             value, middle, reach = (1e-3 * float(mean) for mean in means)
             words = f"{value:.0f} kPa where the others and the wrench say {middle - reach:.0f} to"
@@ -758,6 +907,8 @@ def _channels(
         yield DataFinding(
             "the limb pose", "it stands still", "check the cameras and the bodies' names"
         )
+    yield from _noisy_pose(noise)
+    yield from _noisy_clusters(samples, noise, leave_out)
     values = samples.trusted_values
     noises = noise.values.tolist()
     for name, column, own_noise in zip(samples.channels, values.T, noises, strict=True):
@@ -780,35 +931,119 @@ def _channels(
         yield DataFinding(name, fact, hint)
 
 
-def _spikes(samples: Samples) -> Iterator[DataFinding]:
-    """Single values within the range that leave the course of their channel and come back.
+def _noisy_pose(noise: ChannelNoise) -> Iterator[DataFinding]:
+    """A pose with more noise than markers have."""
+    position, rotation = np.nan_to_num(noise.pose).reshape(2, 3).max(axis=1)
+    if position > MAX_POSE_NOISE[0] or rotation > MAX_POSE_NOISE[1]:
+        yield DataFinding(
+            "the limb pose",
+            f"its noise is {1e3 * position:.2g} mm and {np.degrees(rotation):.2g} deg",
+            "check the markers, the cameras' calibration, and reflections",
+        )
 
-    A short load is felt by several sources, a spike by one. The samples are without outliers and
-    left-out channels.
+
+def _noisy_clusters(
+    samples: Samples, noise: ChannelNoise, leave_out: tuple[str, ...]
+) -> Iterator[DataFinding]:
+    """Clusters with far more noise than the others."""
+    own = noise.local_forces[:, 2]
+    for column, name in enumerate(samples.clusters):
+        others = np.delete(own, column)
+        others = others[np.isfinite(others)]
+        if not len(others) or f"{name}.Fz" in leave_out:
+            continue
+        limit = max(NOISIER[0] * float(np.median(others)), NOISIER[1])
+        if limit < own[column] <= MAX_NOISE["N"]:
+            yield DataFinding(
+                name,
+                f"its noise is {own[column]:.2g} N, that of the others {np.median(others):.2g} N",
+                "check its shield, its plug and its supply",
+            )
+
+
+def _changes(
+    samples: Samples, found_by: Callable[[FloatArray, BoolArray], tuple[FloatArray, FloatArray]]
+) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Sudden changes of single sources: what a limb does is felt by several of them.
+
+    Args:
+        samples: N samples without outliers and left-out channels.
+        found_by: Returns sizes and ratios of changes, such as `_departures`.
+
+    Yields:
+        A source, the sizes of the changes in the units of its k channels, and the sizes over the
+        usual ones [-], shape (N, k) each; the latter are 0 where another source changes as well.
     """
     values = {"the wrench": samples.wrench, "the limb pose": samples.pose}
     forces = samples.trusted_forces
     values |= {name: forces[:, column] for column, name in enumerate(samples.clusters)}
     regular = ~gaps(samples.stamps)
-    found = {name: _departures(own, regular) for name, own in values.items()}
+    found = {name: found_by(own, regular) for name, own in values.items()}
     sharp = {name: ratios.max(axis=1) for name, (_, ratios) in found.items()}
-    size = np.repeat([finite_quantile(np.linalg.norm(samples.wrench[:, of], axis=1), 0.95)
-                      for of in GROUPS], 3)  # fmt: skip
-    least = {"the wrench": SPIKE_SHARE * size, "the limb pose": np.repeat(POSE_SPIKES, 3)}
-    for name, (departures, ratios) in found.items():
+    for name, (sizes, ratios) in found.items():
         others = np.max([own for other, own in sharp.items() if other != name], axis=0)
-        single = (ratios > MIN_SPIKE) & (departures > least.get(name, np.zeros(1)))
-        single &= (others < FELT_SPIKE)[:, None]
+        yield name, sizes, np.where((others < FELT_SPIKE)[:, None], ratios, 0.0)
+
+
+def _least_change(
+    samples: Samples, source: str, share: float, of_pose: tuple[float, float], force: float
+) -> FloatArray:
+    """Sizes of the channels of a source from which a change counts, shape (k,) [N m, N, m, rad].
+
+    Args:
+        samples: The samples, whose usual moment and force limit the changes of the wrench.
+        source: The source.
+        share: Of the usual moment and force [-].
+        of_pose: Of the limb's position [m] and rotation [rad].
+        force: Of the force on a cluster [N].
+    """
+    if source == "the limb pose":
+        return np.repeat(of_pose, 3)
+    if source != "the wrench":
+        return np.full(3, force)
+    moments_and_forces = (samples.wrench[:, group] for group in GROUPS)
+    usual = [finite_quantile(np.linalg.norm(own, axis=1), 0.95) for own in moments_and_forces]
+    return share * np.repeat(usual, 3)
+
+
+def _spikes(samples: Samples) -> Iterator[DataFinding]:
+    """Single values within the range that leave the course of their channel and come back."""
+    for name, sizes, ratios in _changes(samples, _departures):
+        least = _least_change(samples, name, SPIKE_SHARE, POSE_SPIKES, 0.0)
+        single = (ratios > MIN_SPIKE) & (sizes > least)
+        clear = (ratios > CLEAR_SPIKE * MIN_SPIKE) & (sizes > CLEAR_SPIKE * least)
         rows = np.flatnonzero(single.any(axis=1))
-        if len(rows) < LEAST_SPIKES:
+        if len(rows) < LEAST_SPIKES and not clear.any():
             continue
         row, column = np.unravel_index((single * ratios).argmax(), ratios.shape)
-        size_in_words = _in_words(name, int(column), float(departures[row, column]))
+        size = _in_words(name, int(column), float(sizes[row, column]))
+        number = "a single value jumps and comes back,"
+        if len(rows) > 1:
+            number = f"{len(rows)} single values jump and come back, such as"
         yield DataFinding(
             name,
-            f"{len(rows)} single values jump and come back, such as {size_in_words} at"
-            f" {samples.time[row]:.2f} s, which no other source feels",
+            f"{number} {size} at {samples.time[row]:.2f} s, which no other source feels",
             "check cables, connectors and shields, or the markers",
+        )
+
+
+def _steps(samples: Samples) -> Iterator[DataFinding]:
+    """Channels that step from one sample to the next and stay there, while no other source moves.
+
+    Poses that jump far are found without a comparison, see `_jumps`.
+    """
+    jumps = any(_jumps(samples))
+    for name, sizes, ratios in _changes(samples, _kinks):
+        least = _least_change(samples, name, STEP_SHARE, POSE_STEPS, MIN_STEP)
+        steps = np.where(sizes > least, ratios, 0.0)
+        row, column = np.unravel_index(steps.argmax(), steps.shape)
+        if steps[row, column] <= MIN_STEP_RATIO or (jumps and name == "the limb pose"):
+            continue
+        size = _in_words(name, int(column), float(sizes[row, column]))
+        yield DataFinding(
+            name,
+            f"it steps: {size} at {samples.time[row]:.2f} s, which no other source feels",
+            "check its cables, mounting and supply, and whether it was tared or moved",
         )
 
 
@@ -840,6 +1075,31 @@ def _departures(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, Flo
     sizes[1:-1][beyond] = np.minimum(np.abs(into), np.abs(out))[beyond]
     usual = np.quantile(sizes, _USUAL_DEPARTURE, axis=0)
     noise = np.nan_to_num(deviations(values, regular))
+    scale = np.maximum(usual, noise)
+    return sizes, np.divide(sizes, scale, out=np.zeros(sizes.shape), where=scale > 0.0)
+
+
+def _kinks(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """How far each value steps from the one before, beyond the mean of the steps around it.
+
+    Args:
+        values: Channels of one source, shape (N, k), in their units.
+        regular: Which of the steps between samples are of the usual length, shape (N - 1,).
+
+    Returns:
+        The sizes of the steps in the channels' units, 0 where a value nearby is missing or where
+        the next or previous one is as large, and the same relative to the usual ones or the noise
+        [-], (N, k) each.
+    """
+    steps = np.where(regular[:, None], np.diff(values, axis=0), np.nan)
+    before, own, after = steps[:-2], steps[1:-1], steps[2:]
+    beyond = np.abs(own - 0.5 * (before + after))
+    alone = np.maximum(np.abs(before), np.abs(after)) < _STEP_ALONE * np.abs(own)
+    sizes = np.zeros(values.shape)
+    sizes[2:-1] = np.nan_to_num(beyond)
+    usual = np.quantile(sizes, _USUAL_DEPARTURE, axis=0)
+    sizes[2:-1][~alone] = 0.0
+    noise = _KINK_NOISE * np.nan_to_num(deviations(values, regular))
     scale = np.maximum(usual, noise)
     return sizes, np.divide(sizes, scale, out=np.zeros(sizes.shape), where=scale > 0.0)
 
@@ -943,6 +1203,43 @@ def _best_lag(
         return 0.0, 0.0, 0.0
     best = max(found, key=lambda lag: (found[lag], -abs(lag)))
     return best * period, found[best], found[0]
+
+
+def _delay(
+    courses: FloatArray, causes: FloatArray, period: float, least: tuple[float, float]
+) -> float:
+    """Delay with which courses are explained by causes far better than at once.
+
+    Args:
+        courses: The courses, shape (N, k); each counts by its variance.
+        causes: What explains them linearly, shape (N, m), with the times.
+        period: Time between the values [s].
+        least: The least share of the variance that is explained with the delay, and the least fall
+            of log(1 - share) / 2 by it [-].
+
+    Returns:
+        The delay [s], negative for courses that are early; 0 without a clear one.
+    """
+    step = max(1, round(DELAY_STEP / period))
+    courses, causes, period = courses[::step], causes[::step], step * period
+    limit = round(min(SEARCHED_LAG, SEARCHED_SHARE * len(courses) * period) / period)
+    middle = slice(limit, len(courses) - limit)
+    scaled = causes[middle] - causes[middle].mean(axis=0)
+    scaled /= np.maximum(scaled.std(axis=0), 1e-12)
+    basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    basis = basis[:, sizes > 1e-6 * sizes.max()]
+    courses = courses / np.maximum(courses.std(axis=0), 1e-12)
+
+    def unexplained(lag: int) -> float:
+        moved = courses[middle.start + lag : middle.stop + lag]
+        moved = moved - moved.mean(axis=0)
+        explained = ((basis.T @ moved) ** 2).sum() / max(float((moved**2).sum()), 1e-12)
+        return max(1.0 - float(explained), 1e-6)
+
+    left = {lag: unexplained(lag) for lag in range(-limit, limit + 1)}
+    best = min(left, key=lambda lag: (left[lag], abs(lag)))
+    gain = 0.5 * np.log(left[0] / left[best])
+    return best * period if 1.0 - left[best] > least[0] and gain > least[1] else 0.0
 
 
 def _longest_run(values: FloatArray) -> int:

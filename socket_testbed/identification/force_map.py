@@ -33,10 +33,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from scipy.special import chdtri, i0e, i1e, ndtri
+from scipy.special import chdtri, expit, gammaln, i0e, i1e, logsumexp, ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.geometry.regions import proximal_direction
@@ -52,7 +52,7 @@ NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interva
 _NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
 AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
 _EVIDENCE_MEMORY = 1000  # live samples over which the evidence is averaged
-_EVIDENCE_POWER = 0.6  # [-]; the prior's laws are no limb's: trust the evidence less than fully
+EVIDENCE_POWER = 0.6  # [-]; the prior's laws are no limb's: trust the evidence less than fully
 _TILE_SHARE_SPREAD = 0.03  # [-]; of the load, about the share of the wall that the tiles cover
 _MIN_WEIGHT = 2e-3  # of a hypothesis, relative to the likeliest
 _MAX_SAMPLES = 500  # samples of a trial, evenly spread
@@ -135,19 +135,76 @@ class MapEstimate:
 
 
 @dataclass(frozen=True)
-class _Conditioned:
-    """The M hypotheses of the prior, conditioned on the present channels.
+class Family:
+    """M hypotheses: what they say of forces and channels before a sample is measured.
 
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
-    S = H K H' + R is the covariance of the present channels.
+    Variances are for an amplitude of 1. Where earlier channels tell of the forces, these have a
+    mean at each of s loads.
+
+    Attributes:
+        total: Covariances of the 6 + 3c channels with their noise, shape (M, 6 + 3c, 6 + 3c).
+        cross: Covariances of the forces with the channels, shape (M, n, 4, 6 + 3c).
+        variances: Variances of the forces, shape (M, n, 4) [N^2].
+        forces: Means of the forces at each load, shape (M, s, n, 4) [N].
+        channels: Means of the channels, shape (M, s, 6 + 3c) [N m, N].
+        distances: Squared distances of the earlier channels from zero, shape (M, s) [-].
+        earlier: Number of earlier channels; 0 for a mean of zero, with s = 0.
+    """
+
+    total: FloatArray
+    cross: FloatArray
+    variances: FloatArray
+    forces: FloatArray
+    channels: FloatArray
+    distances: FloatArray
+    earlier: int = 0
+
+    def conditioned(self, present: IntArray) -> _Conditioned:
+        """The hypotheses, conditioned on the channels of these indices, shape (d,)."""
+        cross = self.cross[..., present]
+        total = self.total[:, present[:, None], present]
+        precision = np.asarray(np.linalg.inv(total), np.float64)
+        gain = cross @ precision[:, None]
+        log_determinant = -np.linalg.slogdet(precision)[1]
+        variances = self.variances - (gain * cross).sum(axis=3)
+        if self.earlier:
+            # A mean c m at a load s is the column m of further channels, of which s has the value
+            # c and the others 0.
+            expected = self.channels[..., present]  # (M, s, d)
+            offset = self.forces - np.einsum("mnad,msd->msna", gain, expected)
+            gain = np.concatenate([gain, np.moveaxis(offset, 1, 3)], axis=3)
+            known = expected @ precision
+            own = known @ np.swapaxes(expected, 1, 2)
+            own += self.distances[:, :, None] * np.eye(self.distances.shape[1])
+            precision = np.block([[precision, -np.swapaxes(known, 1, 2)], [-known, own]])
+        return _Conditioned(
+            present=present,
+            gain=gain,
+            precision=precision,
+            log_determinant=log_determinant,
+            variances=variances,
+            distances=self.distances,
+            earlier=self.earlier,
+        )
+
+
+@dataclass(frozen=True)
+class _Conditioned:
+    """M hypotheses, conditioned on the present channels, see `Family`.
+
+    S is the covariance of the present channels: H K H' + R for a mean of zero. The values of d
+    channels are followed by those of the s loads: how many times its mean is expected.
 
     Attributes:
         present: Indices of the d present channels among all 6 + 3c, shape (d,).
-        gain: K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
+        gain: K H' S^-1 of the hypotheses, from the values to the forces, shape (M, n, 4, d + s)
             [1/m, -].
-        precision: S^-1 of the hypotheses, shape (M, d, d) [1/N^2, or per N m instead of N].
+        precision: S^-1 of the hypotheses, shape (M, d + s, d + s) [1/N^2, or per N m instead of N].
         log_determinant: Logarithm of the determinant of S, shape (M,).
         variances: Variances of the forces for an amplitude of 1, shape (M, n, 4) [N^2].
+        distances: As in `Family`.
+        earlier: As in `Family`.
     """
 
     present: IntArray
@@ -155,17 +212,25 @@ class _Conditioned:
     precision: FloatArray
     log_determinant: FloatArray
     variances: FloatArray
+    distances: FloatArray
+    earlier: int
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
-        parts = {name: values[kept] for name, values in vars(self).items() if name != "present"}
+        shared = ("present", "earlier")
+        parts = {name: values[kept] for name, values in vars(self).items() if name not in shared}
         return replace(self, **parts)
+
+    @property
+    def count(self) -> int:
+        """Number of channels behind the forces, present and earlier ones."""
+        return len(self.present) + self.earlier
 
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        They follow from the present channels, shape (N, d) [N m, N], and the probabilities of the
-        hypotheses, shape (M,) [-]. Under each hypothesis the squared amplitude has the posterior
-        mean (f + y' S^-1 y) / (f + d - 2).
+        They follow from the values of present channels and loads, shape (N, d + s) [N m, N], and
+        the probabilities of the hypotheses, shape (M,) [-]. Under each hypothesis the squared
+        amplitude has the posterior mean (f + y' S^-1 y) / (f + d - 2), d with the earlier channels.
         """
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
@@ -173,14 +238,14 @@ class _Conditioned:
         forces = forces.reshape(count, hypotheses, tiles * 4)
         freedom = AMPLITUDE_FREEDOM
         scales = freedom + self.distance(measured)
-        scales *= weights / max(freedom + channels - 2.0, 1.0)
+        scales *= weights / max(freedom + self.count - 2.0, 1.0)
         mean = weights @ forces
         between = weights @ forces**2 - mean**2
         variances = scales @ self.variances.reshape(hypotheses, -1) + np.maximum(between, 0.0)
         return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
     def distance(self, measured: FloatArray) -> FloatArray:
-        """Squared distances y' S^-1 y of the channels (N, d) by hypothesis, shape (N, M) [-]."""
+        """Squared distances y' S^-1 y of the values (N, d + s) by hypothesis, shape (N, M) [-]."""
         hypotheses, channels = self.precision.shape[:2]
         # One large product is several times faster than a batch of small ones.
         whitened = measured @ self.precision.reshape(hypotheses * channels, channels).T
@@ -188,14 +253,20 @@ class _Conditioned:
         return np.asarray((whitened * measured[:, None]).sum(axis=2))
 
     def log_evidence(self, measured: FloatArray) -> FloatArray:
-        """Of the hypotheses for the channels (N, d), up to a constant, shape (N, M) [-].
+        """Of the hypotheses for the values (N, d + s), shape (N, M) [-].
 
-        Given the amplitude's prior, the channels have a multivariate t distribution.
+        Given the amplitude's prior, the channels have a multivariate t distribution; after earlier
+        channels it is the ratio of two. Constants that depend on d alone, or on the number of
+        earlier channels alone, are left out.
         """
         freedom = AMPLITUDE_FREEDOM
-        exponent = freedom + len(self.present)
+        exponent, before = freedom + self.count, freedom + self.earlier
         distance = np.log1p(self.distance(measured) / freedom)
-        return np.asarray(-0.5 * (self.log_determinant + exponent * distance))
+        found = gammaln(0.5 * exponent) - 0.5 * (self.log_determinant + exponent * distance)
+        if self.earlier:
+            known = measured[:, len(self.present) :] ** 2 @ self.distances.T
+            found += 0.5 * before * np.log1p(known / freedom)
+        return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -253,17 +324,74 @@ class JointDraws:
         return replace(self, gain=np.ascontiguousarray(gain), errors=self.errors @ mapping)
 
 
+class Surveyed(Protocol):
+    """What a survey of the limb says of a trial, see `survey_prior.Expected`.
+
+    Attributes:
+        name: The survey in words.
+        weights: Probabilities of its hypotheses, shape (T,) [-].
+        family: What they say at each of s loads.
+    """
+
+    name: str
+    weights: FloatArray
+    family: Family
+
+    def loads(self, values: FloatArray) -> FloatArray:
+        """How many times the mean at each load is expected in samples, shape (N, s) [-].
+
+        Args:
+            values: Channels of N samples, the wrench [M; F] first, shape (N, 6 + 3c) [N m, N].
+        """
+
+    def weighed(self, evidence: FloatArray) -> FloatArray:
+        """Probabilities of the hypotheses given their log evidence, shape (T,) each [-].
+
+        Args:
+            evidence: Mean log evidence of the trial's samples [-].
+        """
+
+    def covariance(self, number: int) -> FloatArray:
+        """Covariance of the forces in the tiles' frames under a hypothesis, (3n, 3n) [N^2].
+
+        Args:
+            number: Index of the hypothesis, below T.
+        """
+
+
+@dataclass(frozen=True)
+class _Belief:
+    """Probabilities of the hypotheses.
+
+    Attributes:
+        ordinary: Of those of the ordinary prior, with a sum of 1, shape (M,) [-]; 0 for unlikely
+            ones.
+        surveyed: Of those of a survey, with a sum of 1, shape (T,) [-]; empty without one.
+        share: Probability of the survey's prior against the ordinary one [-].
+    """
+
+    ordinary: FloatArray
+    surveyed: FloatArray
+    share: float = 0.0
+
+
 class ForceMap:
     """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
 
     The evidence of a trial's samples weighs the hypotheses. Without a trial, `estimate`, `mean`
     and `sample` use the evidence of their own samples, and `update` that of recent samples.
 
+    A survey of the limb gives another prior, beside the ordinary one: what its trials say of the
+    forces at a like load, see `survey_prior`. The evidence of the samples with such a load weighs
+    one prior against the other, even at first; other samples have the ordinary prior alone.
+
     Args:
         geometry: The socket with its n tiles.
         clusters: Names of the c clusters, in the order of the samples.
-        settings: Sizes and spreads of the prior; None for the default settings.
+        settings: Sizes and spreads of the ordinary prior; None for the default settings.
         trial: Samples whose evidence weighs the hypotheses; None for no trial.
+        surveyed: What a survey of the limb says of this socket and these clusters; None for the
+            ordinary prior alone. `update` ignores it.
     """
 
     def __init__(
@@ -272,6 +400,7 @@ class ForceMap:
         clusters: tuple[str, ...],
         settings: ForceMapSettings | None = None,
         trial: Samples | None = None,
+        surveyed: Surveyed | None = None,
     ) -> None:
         self._geometry = geometry
         self._clusters = clusters
@@ -279,29 +408,37 @@ class ForceMap:
         self._normals = geometry.rotations[:, :, 2]
         guesses = hypotheses(settings or ForceMapSettings(), geometry.tile_share)
         self._priors = [Prior(geometry, clusters, sizes) for sizes in guesses]
-        # Per hypothesis: covariances of the channels, (M, c, c), and of the forces with the
-        # channels, (M, n, 4, c), and variances of the forces, (M, n, 4).
-        along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (len(geometry), 1, 3))
-        turned = np.concatenate([geometry.rotations, along_normal], axis=1)
-        self._total = np.array([prior.signal + np.diag(prior.noise) for prior in self._priors])
-        self._cross = np.array([turned @ prior.with_channels for prior in self._priors])
-        blocks = [(turned @ prior.blocks * turned).sum(axis=2) for prior in self._priors]
-        self._variances = np.array(blocks)
+        turned = axes_of(geometry)
+        count, channels = len(self._priors), len(WRENCH_CHANNELS) + 3 * len(clusters)
+        self._family = Family(
+            total=np.array([prior.signal + np.diag(prior.noise) for prior in self._priors]),
+            cross=np.array([turned @ prior.with_channels for prior in self._priors]),
+            variances=np.array(
+                [(turned @ prior.blocks * turned).sum(axis=2) for prior in self._priors]
+            ),
+            forces=np.zeros((count, 0, len(geometry), 4)),
+            channels=np.zeros((count, 0, channels)),
+            distances=np.zeros((count, 0)),
+        )
+        self._survey = surveyed
         self._make_caches()
         self._evidence_count = 0  # samples
         self._evidence = np.zeros(len(self._priors))
+        self._belief: _Belief | None = None
         if trial is not None:
             self._evidence = self._mean_evidence(trial)
             self._evidence_count = len(trial)
+            self._belief = self._judged(trial, self._evidence)
 
     def _make_caches(self) -> None:
         # Keyed by the bytes of a pattern, and of the chosen hypotheses: both rarely change.
         self._conditioned = lru_cache(_MAX_PATTERNS)(self._condition)
         self._prior_draws = lru_cache(1)(self._draw)
+        self._surveyed_draws = lru_cache(1)(self._draw_surveyed)
 
     def __getstate__(self) -> dict[str, Any]:
         # Caches cannot be pickled; a copy makes its own.
-        caches = ("_conditioned", "_prior_draws")
+        caches = ("_conditioned", "_prior_draws", "_surveyed_draws")
         return {name: value for name, value in vars(self).items() if name not in caches}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -324,7 +461,8 @@ class ForceMap:
             found = conditioned.log_evidence(values[:, conditioned.present])[0]
             self._evidence_count = min(self._evidence_count + 1, _EVIDENCE_MEMORY)
             self._evidence += (found - self._evidence) / self._evidence_count
-        return self._estimate(values, present, probabilities(self._evidence))
+        belief = _Belief(probabilities(self._evidence), np.zeros(0))
+        return self._estimate(values, present, belief)
 
     def _mean_evidence(self, samples: Samples) -> FloatArray:
         """Log evidence of the hypotheses, averaged over the samples, shape (M,) [-]."""
@@ -338,24 +476,73 @@ class ForceMap:
             total += conditioned.log_evidence(measured).sum(axis=0)
         return total / max(len(rows), 1)
 
-    def _weights(self, samples: Samples) -> FloatArray:
-        """Probabilities of the hypotheses, shape (M,) [-]; 0 for unlikely ones."""
+    def _weights(self, samples: Samples) -> _Belief:
+        """Probabilities of the hypotheses for some samples."""
+        if self._belief is not None:
+            return self._belief
         known = self._evidence_count
-        return probabilities(self._evidence if known else self._mean_evidence(samples))
+        return self._judged(samples, self._evidence if known else self._mean_evidence(samples))
 
-    def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
-        """The map from channels (N, 6 + 3c) [N m, N] and the hypotheses' probabilities (M,) [-].
+    def _judged(self, samples: Samples, evidence: FloatArray) -> _Belief:
+        """Probabilities by the evidence of samples, that of the ordinary hypotheses given, (M,)."""
+        ordinary = probabilities(evidence)
+        if self._survey is None:
+            return _Belief(ordinary, np.zeros(0))
+        values, present = _channels(samples)
+        loads = self._survey.loads(values)
+        rows = np.flatnonzero(loads.any(axis=1))
+        rows = rows[evenly(len(rows), _MAX_SAMPLES)]
+        if not len(rows):
+            return _Belief(ordinary, self._survey.weights)
+        # Log evidence of all channels, and of the wrench alone.
+        ordinary_evidence = np.zeros((2, len(self._priors)))
+        surveyed_evidence = np.zeros((2, len(self._survey.weights)))
+        for pattern, some in _by_pattern(present[rows]):
+            for number, kept in enumerate((pattern, _wrench_of(pattern))):
+                conditioned = self._conditioned(kept)
+                measured = values[rows[some]][:, conditioned.present]
+                ordinary_evidence[number] += conditioned.log_evidence(measured).sum(axis=0)
+                measured = np.hstack([measured, loads[rows[some]]])
+                conditioned = self._conditioned(kept, True)
+                surveyed_evidence[number] += conditioned.log_evidence(measured).sum(axis=0)
+        ordinary_evidence, surveyed_evidence = (
+            evidence / len(rows) for evidence in (ordinary_evidence, surveyed_evidence)
+        )
+        # The load is like the survey's by choice: only the clusters tell whether the limb is.
+        own, of_load = logsumexp(ordinary_evidence, axis=1)
+        surveyed, of_like_load = logsumexp(np.log(self._survey.weights) + surveyed_evidence, axis=1)
+        odds = (surveyed - of_like_load) - (own - of_load)
+        weights = self._survey.weighed(surveyed_evidence[0])
+        return _Belief(ordinary, weights, float(expit(odds)))
+
+    def _estimate(self, values: FloatArray, present: BoolArray, belief: _Belief) -> MapEstimate:
+        """The map from channels (N, 6 + 3c) [N m, N] and the hypotheses' probabilities.
 
         `present` marks the channels with a value, shape (N, 6 + 3c).
         """
-        kept = np.flatnonzero(weights)
         forces, variances = np.empty((2, len(values), len(self._areas), 4))
+        loads = self._loads(values, belief)
         for pattern, rows in _by_pattern(present):
-            conditioned = self._conditioned(pattern)[kept]
+            found = [(self._conditioned(pattern), belief.ordinary)]
+            if belief.share:
+                found.append((self._conditioned(pattern, True), belief.surveyed))
+            averages = [
+                (conditioned[np.flatnonzero(weights)], weights[weights > 0.0])
+                for conditioned, weights in found
+            ]
             for start in range(0, len(rows), _CHUNK):
                 chunk = rows[start : start + _CHUNK]
-                measured = values[chunk][:, conditioned.present]
-                forces[chunk], variances[chunk] = conditioned.average(measured, weights[kept])
+                measured = values[chunk][:, averages[0][0].present]
+                forces[chunk], variances[chunk] = averages[0][0].average(measured, averages[0][1])
+                like = loads[chunk].any(axis=1)
+                if like.any():
+                    some = chunk[like]
+                    conditioned, weights = averages[1]
+                    both = np.hstack([measured[like], loads[some]])
+                    own = conditioned.average(both, weights)
+                    forces[some], variances[some] = _mixed(
+                        (forces[some], variances[some]), own, belief.share
+                    )
         areas, deviations = self._areas, np.sqrt(variances)
         vectors, normal = forces[..., :3], forces[..., 3]
         across = vectors - normal[..., None] * self._normals
@@ -368,7 +555,7 @@ class ForceMap:
             normal_pressure_standard_deviation=deviations[..., 3] / areas,
             shear=shear / areas,
             shear_standard_deviation=_rice_deviation(shear, np.sqrt(0.5 * tangential)) / areas,
-            source=self._source(present),
+            source=self._source(values, present, belief),
         )
 
     def mean(self, samples: Samples) -> MapEstimate:
@@ -399,12 +586,17 @@ class ForceMap:
             normal_pressure_standard_deviation=np.sqrt(pressure_squares / count),
             shear=shear / count,
             shear_standard_deviation=np.sqrt(shear_squares / count),
-            source=self._source(present),
+            source=self._source(values, present, weights),
         )
 
+    def survey_probability(self, samples: Samples) -> float:
+        """Probability of the survey's prior for some samples [-]; 0 without a like load."""
+        return self._weights(samples).share
+
     def source(self, samples: Samples) -> str:
-        """The channels that the map of these samples is conditioned on, in words."""
-        return self._source(_channels(samples)[1])
+        """The prior, and the channels that the map of samples is conditioned on, in words."""
+        values, present = _channels(samples)
+        return self._source(values, present, self._weights(samples))
 
     def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         r"""Joint draws of the forces on all tiles, given the channels of each sample.
@@ -427,35 +619,98 @@ class ForceMap:
         Yields:
             The draws of a batch of samples; each sample occurs once, in any order.
         """
-        weights = self._weights(samples)
-        kept = np.flatnonzero(weights)
-        weights = weights[kept]
+        belief = self._weights(samples)
+        values, present = _channels(samples)
+        loads = self._loads(values, belief)
+        for pattern, rows in _by_pattern(present):
+            like = loads[rows].any(axis=1)
+            for some, surveyed in ((rows[~like], False), (rows[like], True)):
+                if len(some):
+                    yield from self._batches(pattern, some, values, loads, belief, surveyed, count)
+
+    def _batches(
+        self,
+        pattern: bytes,
+        rows: IntArray,
+        values: FloatArray,
+        loads: FloatArray,
+        belief: _Belief,
+        surveyed: bool,
+        count: int,
+    ) -> Iterator[JointDraws]:
+        """Batches of joint draws at the samples of some rows, whose channels have one pattern."""
         middles = (np.arange(count // 2) + 0.5) / (count // 2)  # of equally probable parts
         levels = np.random.default_rng(0).permuted(np.tile(middles, (2, 1)), axis=1)
-        hypotheses = np.searchsorted(weights.cumsum()[:-1], levels[0])
-        priors, errors = self._prior_draws(kept[hypotheses].tobytes())
-        values, present = _channels(samples)
         tiles = len(self._areas)
-        for pattern, rows in _by_pattern(present):
-            conditioned = self._conditioned(pattern)[kept]
-            gain = np.einsum(
-                "nij,mnid->mnjd", self._geometry.rotations, conditioned.gain[:, :, :3]
-            ).reshape(len(kept), 3 * tiles, -1)
-            known = gain[hypotheses] @ errors[:, conditioned.present, None]
-            freedom = AMPLITUDE_FREEDOM + len(conditioned.present)
-            left = (priors - known[..., 0]) / np.sqrt(chdtri(freedom, levels[1]))[:, None]
-            for start in range(0, len(rows), _DRAW_BATCH):
-                some = rows[start : start + _DRAW_BATCH]
-                measured = values[some][:, conditioned.present]
-                yield JointDraws(
-                    rows=some,
-                    channels=measured,
-                    gain=gain,
-                    weights=weights,
-                    sizes=np.sqrt(AMPLITUDE_FREEDOM + conditioned.distance(measured)),
-                    hypotheses=hypotheses,
-                    errors=left,
-                )
+        weights = belief.ordinary
+        if surveyed:
+            weights = np.concatenate(
+                [(1.0 - belief.share) * weights, belief.share * belief.surveyed]
+            )
+        kept = np.flatnonzero(weights)
+        weights = weights[kept]
+        chosen = np.searchsorted(weights.cumsum()[:-1], levels[0])
+        own, others = kept[kept < len(self._priors)], kept[kept >= len(self._priors)]
+        ordinary = self._conditioned(pattern)[own]
+        gain = self._in_tiles(ordinary.gain)
+        drawn = chosen < len(own)
+        priors, errors = self._prior_draws(own[chosen[drawn]].tobytes())
+        known = gain[chosen[drawn]] @ errors[:, ordinary.present, None]
+        left = np.empty((len(chosen), 3 * tiles))
+        left[drawn] = priors - known[..., 0]
+        counts = np.full(len(chosen), ordinary.count)
+        if surveyed:
+            others = others - len(self._priors)
+            after = self._conditioned(pattern, True)[others]
+            left[~drawn] = self._surveyed_draws(
+                pattern, others[chosen[~drawn] - len(own)].tobytes()
+            )
+            counts[~drawn] = after.count
+            # The ordinary hypotheses have no mean.
+            gain = np.pad(gain, ((0, 0), (0, 0), (0, loads.shape[1])))
+            gain = np.concatenate([gain, self._in_tiles(after.gain)])
+        left /= np.sqrt(chdtri(AMPLITUDE_FREEDOM + counts, levels[1]))[:, None]
+        for start in range(0, len(rows), _DRAW_BATCH):
+            some = rows[start : start + _DRAW_BATCH]
+            measured = values[some][:, ordinary.present]
+            distance = ordinary.distance(measured)
+            if surveyed:
+                measured = np.hstack([measured, loads[some]])
+                distance = np.hstack([distance, after.distance(measured)])
+            yield JointDraws(
+                rows=some,
+                channels=measured,
+                gain=gain,
+                weights=weights,
+                sizes=np.sqrt(AMPLITUDE_FREEDOM + distance),
+                hypotheses=chosen,
+                errors=left,
+            )
+
+    def _in_tiles(self, gain: FloatArray) -> FloatArray:
+        """Gains to the forces in the tiles' frames, shape (M, 3n, d), from those in {S}."""
+        found = np.einsum("nij,mnid->mnjd", self._geometry.rotations, gain[:, :, :3])
+        return found.reshape(len(gain), 3 * len(self._areas), gain.shape[-1])
+
+    def _draw_surveyed(self, pattern: bytes, chosen: bytes) -> FloatArray:
+        """Draws of the forces' errors under hypotheses of the survey, (D, 3n) [N].
+
+        They are in the tiles' frames, for an amplitude of 1, and what the channels of the pattern
+        leave; `chosen` holds the bytes of the index of each draw's hypothesis, shape (D,).
+        """
+        if self._survey is None:
+            return np.zeros((0, 3 * len(self._areas)))
+        numbers = np.frombuffer(chosen, np.int64)
+        drawn = np.random.default_rng(1).standard_normal((len(numbers), 3 * len(self._areas)))
+        conditioned = self._conditioned(pattern, True)
+        for number in np.unique(numbers):
+            which, present = numbers == number, conditioned.present
+            gain = self._in_tiles(conditioned[np.array([number])].gain)[0][:, : len(present)]
+            cross = self._in_tiles(self._survey.family.cross[[number]])[0][:, present]
+            left = self._survey.covariance(int(number)) - gain @ cross.T
+            sizes, directions = np.linalg.eigh(left)
+            drawn[which] = drawn[which] * np.sqrt(np.maximum(sizes, 0.0)) @ directions.T
+        return drawn
 
     def _draw(self, hypotheses: bytes) -> tuple[FloatArray, FloatArray]:
         """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
@@ -466,7 +721,7 @@ class ForceMap:
         chosen = np.frombuffer(hypotheses, np.int64)
         tiles, rng = len(self._geometry), np.random.default_rng(0)
         numbers = rng.standard_normal((len(chosen), 9 * tiles + 7))
-        noise = rng.standard_normal((len(chosen), self._total.shape[1]))
+        noise = rng.standard_normal((len(chosen), self._family.total.shape[1]))
         forces = np.empty((len(chosen), 3 * tiles))
         for number in np.unique(chosen):
             prior, which = self._priors[number], chosen == number
@@ -475,27 +730,36 @@ class ForceMap:
             noise[which] += forces[which] @ prior.mapping.T
         return forces, noise
 
-    def _condition(self, pattern: bytes) -> _Conditioned:
-        """The hypotheses, conditioned on the channels that the bytes of flags (6 + 3c,) mark."""
-        present = np.flatnonzero(np.frombuffer(pattern, bool))
-        cross = self._cross[..., present]
-        total = self._total[:, present[:, None], present]
-        precision = np.asarray(np.linalg.inv(total), np.float64)
-        gain = cross @ precision[:, None]
-        return _Conditioned(
-            present=present,
-            gain=gain,
-            precision=precision,
-            log_determinant=-np.linalg.slogdet(precision)[1],
-            variances=self._variances - (gain * cross).sum(axis=3),
-        )
+    def _condition(self, pattern: bytes, surveyed: bool = False) -> _Conditioned:
+        """Hypotheses, conditioned on the channels that the bytes of flags (6 + 3c,) mark.
 
-    def _source(self, present: BoolArray) -> str:
-        """Prior and measured sources in words, from the present channels, shape (N, 6 + 3c)."""
+        Those of the survey if `surveyed`, otherwise the ordinary ones.
+        """
+        family = self._survey.family if surveyed and self._survey else self._family
+        return family.conditioned(np.flatnonzero(np.frombuffer(pattern, bool)))
+
+    def _loads(self, values: FloatArray, belief: _Belief) -> FloatArray:
+        """How many times the mean at each load of the survey is expected, (N, s) [-].
+
+        Zero in samples without a like load, and without a survey, with s = 0.
+        """
+        if self._survey is None or not belief.share:
+            return np.zeros((len(values), 0))
+        return self._survey.loads(values)
+
+    def _source(self, values: FloatArray, present: BoolArray, belief: _Belief) -> str:
+        """Prior and measured sources in words, from channels and which are present, (N, 6 + 3c)."""
         wrench = len(WRENCH_CHANNELS)
         names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
         parts = dict.fromkeys(names[present.any(axis=0)])
-        return f"prior: mean zero; measured: {', '.join(parts) or 'nothing'}"
+        prior = "mean zero"
+        if self._survey is not None:
+            like = int(self._survey.loads(values).any(axis=1).sum())
+            prior = f"{self._survey.name}, with {100.0 * belief.share:.0f} % probability"
+            if like < len(values):
+                prior += f" in {like} of {len(values)} samples, whose loads are like the survey's"
+            prior += "; otherwise mean zero"
+        return f"prior: {prior}; measured: {', '.join(parts) or 'nothing'}"
 
 
 def left_out_pressures(
@@ -521,6 +785,32 @@ def left_out_pressures(
         others = force_map.estimate(samples.without(local_channels(name)))
         deviation = others.normal_pressure_standard_deviation[:, tile]
         yield name, measured, others.normal_pressure[:, tile], deviation
+
+
+def _wrench_of(pattern: bytes) -> bytes:
+    """A pattern of present channels, without those of clusters."""
+    return pattern[: len(WRENCH_CHANNELS)] + bytes(len(pattern) - len(WRENCH_CHANNELS))
+
+
+def _mixed(
+    one: tuple[FloatArray, FloatArray], two: tuple[FloatArray, FloatArray], share: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and variances of a mixture of two distributions, of any common shape.
+
+    Args:
+        one: Mean and variances of the first.
+        two: Mean and variances of the second.
+        share: Probability of the second [-].
+    """
+    mean = (1.0 - share) * one[0] + share * two[0]
+    variances = (1.0 - share) * one[1] + share * two[1]
+    return mean, variances + share * (1.0 - share) * (one[0] - two[0]) ** 2
+
+
+def axes_of(geometry: SocketGeometry) -> FloatArray:
+    """Components of a force in its tile's frame along x, y, z of {S} and the normal, (n, 4, 3)."""
+    along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (len(geometry), 1, 3))
+    return np.concatenate([geometry.rotations, along_normal], axis=1)
 
 
 def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
@@ -693,7 +983,7 @@ def _normal_points(count: int, dimensions: int) -> FloatArray:
 
 def probabilities(log_evidence: FloatArray) -> FloatArray:
     """Probabilities of the hypotheses from their evidence, shape (M,) [-]; 0 for unlikely ones."""
-    weights = np.exp(_EVIDENCE_POWER * (log_evidence - log_evidence.max()))
+    weights = np.exp(EVIDENCE_POWER * (log_evidence - log_evidence.max()))
     weights[weights < _MIN_WEIGHT] = 0.0
     return np.asarray(weights / weights.sum())
 

@@ -37,6 +37,7 @@ AXES: dict[str, FloatArray] = {
     "left-handed (x reversed)": np.array([[-1.0, 0.0], [0.0, 1.0]]),
 }
 NEGATED = "turned by 180 degrees"
+MIRRORED = ("exchanged", "left-handed (y reversed)", "left-handed (x reversed)")
 OPPOSITE = {  # what the other of two vectors has, if the first one has the axes
     **{name: name for name in AXES},
     **{f"turned by {a} degrees": f"turned by {-a} degrees" for a in _TURNS if a != 180},
@@ -60,6 +61,9 @@ class LimbMotion:
         arms: Lever arms of the clusters' tiles for rotations, that is (a - centre) x outward
             normal, shape (c, 3) [m].
         outward: Outward normals of the clusters' tiles, shape (c, 3) [-].
+        measured: Normal forces on the clusters with what follows the load, shape (N, c) [N].
+        causes: Times [s], the load along z of {S} [N] and, with what follows the load, the motion
+            of the limb into each cluster's tile [m], shape (N, 2 + c).
     """
 
     time: FloatArray
@@ -69,6 +73,8 @@ class LimbMotion:
     pressing: FloatArray
     arms: FloatArray
     outward: FloatArray
+    measured: FloatArray
+    causes: FloatArray
 
     @property
     def agreement(self) -> float:
@@ -169,16 +175,71 @@ def limb_motion(samples: Samples, geometry: SocketGeometry) -> LimbMotion | None
         return None
     tiles = [geometry.clusters[name] for name in samples.clusters]
     outward = -geometry.rotations[tiles, :, 2]
+    arms = np.cross(geometry.anchors[tiles] - centre, outward)
     known_causes = np.column_stack([np.ones(len(samples)), samples.time, force[:, 2]])
+    indentation = shift @ outward.T + rotation @ arms.T
     return LimbMotion(
         time=samples.time,
         shift=_left_of(shift, known_causes),
         rotation=_left_of(rotation, known_causes),
         moment=_left_of(moment - np.cross(centre, force), known_causes),
         pressing=_left_of(pressing, known_causes),
-        arms=np.cross(geometry.anchors[tiles] - centre, outward),
+        arms=arms,
         outward=outward,
+        measured=pressing,
+        causes=np.hstack([known_causes[:, 1:], indentation]),
     )
+
+
+def mirrored_forces(samples: Samples) -> tuple[str, float, float]:
+    """The mirrored horizontal axes with which the forces would fit the moments best.
+
+    A force across the load cell's axis at the height h has the moment h z x F. Whatever the height
+    and its sign, forces in mirrored axes fit no height.
+
+    Args:
+        samples: Samples with a wrench; what is linear in the load and in time is taken off.
+
+    Returns:
+        The axes, of `MIRRORED`; the correlation of forces and moments with them, and as they are
+        [-]. Zeros with too few samples.
+    """
+    moment, force = _across(samples)
+    fits = {name: abs(_alike(moment, _quarter_turn(force @ AXES[name]))) for name in MIRRORED}
+    best = max(fits, key=lambda name: fits[name])
+    return best, fits[best], abs(_alike(moment, _quarter_turn(force)))
+
+
+def height_of_forces(samples: Samples) -> tuple[float, float]:
+    """The height above the load cell at which horizontal forces have their moments.
+
+    Args:
+        samples: As in `mirrored_forces`.
+
+    Returns:
+        The size of the height [m], and the correlation of moments and forces [-]. Zeros with too
+        few samples.
+    """
+    moment, force = _across(samples)
+    size = np.sqrt((force**2).sum())
+    height = float(np.sqrt((moment**2).sum()) / size) if size > 0.0 else 0.0
+    return height, abs(_alike(moment, _quarter_turn(force)))
+
+
+def _across(samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Horizontal moments and forces beside the load, (N, 2) each [N m, N]; none if too few."""
+    known = np.isfinite(samples.wrench).all(axis=1)
+    if known.sum() < LEAST_MOTION:
+        return np.empty((0, 2)), np.empty((0, 2))
+    wrench = samples.wrench[known]
+    causes = np.column_stack([np.ones(len(wrench)), samples.time[known], wrench[:, 5]])
+    left = _left_of(wrench, causes)
+    return left[:, :2], left[:, 3:5]
+
+
+def _quarter_turn(vectors: FloatArray) -> FloatArray:
+    """Horizontal vectors v, (N, 2), turned about z by 90 degrees: z x v."""
+    return np.column_stack([-vectors[:, 1], vectors[:, 0]])
 
 
 def _circles(places: list[int]) -> list[list[int]]:

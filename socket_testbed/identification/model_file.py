@@ -13,10 +13,10 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from socket_testbed import documents
-from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.errors import ConfigurationError, closest, naming
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
-from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.contact import ContactModel, law_of
 from socket_testbed.identification.fit import (
     QUOTED,
     ChannelErrors,
@@ -30,7 +30,7 @@ from socket_testbed.identification.wrench import (
     MotionMemory,
     WrenchModel,
 )
-from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.tables import split_unit
 
 _FORMAT = "socket_testbed model 2"
@@ -178,7 +178,7 @@ class _OfWrench(documents.Document):
 
 
 class _Parameters(documents.Document):
-    variant: Variant
+    variant: str
     sharpness: Annotated[float, Meta(ge=1.0, le=1e9)]
     stiffness: list[tuple[_Stiffness, _Stiffness, _Stiffness]]
     rest_positions: list[tuple[_Place, _Place, _Place]]
@@ -193,6 +193,8 @@ class _Parameters(documents.Document):
 
     def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
         """The contact model on a socket's tiles."""
+        with naming(f"{where}: variant", ConfigurationError):
+            law_of(self.variant)
         points, clusters = len(geometry), [str(name) for name in self.clusters]
         for name in clusters:
             if name not in geometry.clusters:

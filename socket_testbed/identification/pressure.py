@@ -259,6 +259,11 @@ class PressureOutputs:
         return self.force_map.estimate(self.samples)
 
     @cached_property
+    def mean_map(self) -> MapEstimate:
+        """The mean of the force map over the span, with N = 1: see `ForceMap.mean`."""
+        return self.force_map.mean(self.samples)
+
+    @cached_property
     def peak_map(self) -> MapEstimate:
         """The force map of the sample `peak_row`, with N = 1."""
         return self.force_map.estimate(self.samples[self.peak_row : self.peak_row + 1])

@@ -35,7 +35,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -44,11 +44,11 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
-from socket_testbed.identification.contact import LAWS, ContactModel, Loading
+from socket_testbed.identification.contact import ContactModel, Loading, law_of
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, check_channels, local_channels
-from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
+from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
 MIN_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
@@ -363,7 +363,7 @@ class Problem:
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
         settings, geometry, pose = objective.settings, objective.geometry, objective.samples.pose
-        kind = LAWS[settings.variant]
+        kind = law_of(settings.variant)
         sharpness, reference = getattr(settings, kind.SHARPNESS), kind.reference_of(pose, settings)
         self.law = law = kind(geometry.anchors, geometry.rotations, sharpness, reference)
         self._with_offsets = settings.variant in BIAS_VARIANTS
@@ -650,7 +650,7 @@ class Problem:
                 offsets[channel.axis] = residual.mean()
         rest_positions, reference = law.stored(rest)
         return ContactModel(
-            variant=cast(Variant, objective.settings.variant),
+            variant=objective.settings.variant,
             names=geometry.names,
             anchors=geometry.anchors,
             rotations=geometry.rotations,

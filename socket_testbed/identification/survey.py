@@ -168,7 +168,7 @@ class _Term:
     scale: FloatArray
 
 
-class _Limb:
+class Limb:
     """The prior of a limb's forces under one hypothesis, and of what a donning changes.
 
     The channels are the wrench and three per tile of some tiles.
@@ -186,6 +186,8 @@ class _Limb:
         changed_with_channels: As `with_channels`, for K_g in place of K.
         changed_signal: As `signal`, for K_g.
         changed_variances: As `variances`, for K_g.
+        blocks: Covariances of each tile's force, shape (n, 3, 3) [N^2].
+        changed_blocks: As `blocks`, for K_g.
     """
 
     def __init__(self, geometry: SocketGeometry, tiles: Sequence[int], sizes: Hypothesis) -> None:
@@ -194,15 +196,23 @@ class _Limb:
         prior = Prior(instrumented, names, sizes)
         self.signal, self.noise = prior.signal, prior.noise
         self.with_channels = prior.with_channels.reshape(3 * len(geometry), -1)
+        self.blocks = prior.blocks
         self.variances = np.diagonal(prior.blocks, axis1=1, axis2=2).ravel()
         onto_wrench = self.with_channels[:, :_WRENCH]
         known = self.signal[:_WRENCH, :_WRENCH]
         known = known + _RIDGE * np.diag(np.diag(known))
         by_channels = np.linalg.solve(known, self.signal[:_WRENCH])
-        by_forces = np.linalg.solve(known, onto_wrench.T)
+        self._by_forces = by_forces = np.linalg.solve(known, onto_wrench.T)
         self.changed_with_channels = self.with_channels - onto_wrench @ by_channels
         self.changed_signal = self.signal - self.signal[:, :_WRENCH] @ by_channels
         self.changed_variances = self.variances - (onto_wrench.T * by_forces).sum(axis=0)
+        by_tile = onto_wrench.reshape(len(geometry), 3, -1)
+        told = by_tile @ np.swapaxes(by_forces.T.reshape(by_tile.shape), 1, 2)
+        self.changed_blocks = self.blocks - told
+
+    def changed(self, K: FloatArray) -> FloatArray:
+        """K_g from the covariance K of the forces, shape (3n, 3n) [N^2]."""
+        return np.asarray(K - self.with_channels[:, :_WRENCH] @ self._by_forces)
 
 
 class JointMap:
@@ -215,8 +225,11 @@ class JointMap:
         changes: Grid of epsilon [-]; not used for a single trial.
 
     Attributes:
+        hypotheses: The M hypotheses of the prior.
         changes: The grid of epsilon, shape (E,) [-].
-        probabilities: Posterior probability of each of its values, shape (E,) [-].
+        weights: Posterior probability of each hypothesis with each epsilon, shape (M, E) [-]; 0 for
+            unlikely ones.
+        probabilities: Posterior probability of each epsilon, shape (E,) [-].
     """
 
     def __init__(
@@ -228,9 +241,9 @@ class JointMap:
     ) -> None:
         self._geometry = geometry
         self._count = len(trials)
-        self._hypotheses = [*hypotheses(settings or ForceMapSettings(), geometry.tile_share)]
+        self.hypotheses = (*hypotheses(settings or ForceMapSettings(), geometry.tile_share),)
         self._tiles = sorted({tile for trial in trials for tile in trial.tiles})
-        self._limbs = [_Limb(geometry, self._tiles, sizes) for sizes in self._hypotheses]
+        self._limbs = [Limb(geometry, self._tiles, sizes) for sizes in self.hypotheses]
         rows, values, who = [], [], []
         for number, trial in enumerate(trials):
             present = np.isfinite(trial.values).all(axis=0)
@@ -241,9 +254,10 @@ class JointMap:
         self._values = np.hstack(values)
         self.changes = np.array(changes if len(trials) > 1 else (0.0,))
         self._terms = self._condition()
-        self.probabilities = np.zeros(len(self.changes))
+        self.weights = np.zeros((len(self.hypotheses), len(self.changes)))
         for term in self._terms:
-            self.probabilities[self.changes == term.change] += term.weight
+            self.weights[term.number, self.changes == term.change] = term.weight
+        self.probabilities = self.weights.sum(axis=0)
 
     def changed_square(self, unit: bool = False) -> float:
         """Mean square of what a donning changes, over tiles, axes and states [N^2].
@@ -265,7 +279,7 @@ class JointMap:
         return float(np.sqrt(self.changed_square() / np.mean(self.field().forces ** 2)))
 
     def _rows_of(self, tiles: Sequence[int]) -> IntArray:
-        """Rows of the wrench and of the tiles' forces among the channels of `_Limb`."""
+        """Rows of the wrench and of the tiles' forces among the channels of `Limb`."""
         places = np.searchsorted(self._tiles, tiles)
         of_tiles = _WRENCH + 3 * places[:, None] + np.arange(3)
         return np.concatenate([np.arange(_WRENCH), of_tiles.ravel()]).astype(int)
@@ -394,7 +408,7 @@ class JointMap:
         before = 0.0
         likeliest = sorted(self._terms, key=lambda term: -term.weight)[:_MAX_PLANNED]
         for term in likeliest:
-            limb = _Limb(self._geometry, everywhere, self._hypotheses[term.number])
+            limb = Limb(self._geometry, everywhere, self.hypotheses[term.number])
             known = self._with_channels(term, None)
             of_tiles = (3 * np.array(self._tiles)[:, None] + np.arange(3)).ravel()
             seen = np.concatenate([np.arange(_WRENCH), _WRENCH + of_tiles])[self._rows]

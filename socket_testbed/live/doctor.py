@@ -24,7 +24,7 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
 from socket_testbed.live.scheduling import LATEST, measure_lateness
-from socket_testbed.live.sources import StreamedSource
+from socket_testbed.live.sources import StreamedSource, TriggerStream
 from socket_testbed.settings.alignment import LiveSourceSettings, LiveWrenchSettings
 
 _FRAMES = 1000
@@ -72,16 +72,16 @@ class Outcome:
 
 @dataclass
 class HeardSource:
-    """A source of another driver, and what was heard of it.
+    """A source of another driver or of triggers, and what was heard of it.
 
     Attributes:
-        source: The source, with the readings.
+        source: The source, with the readings; or the triggers.
         type: Type of its messages, as `package/msg/Type`; empty if nobody publishes it.
         wrong: What is wrong with its topic, fact and hint in one line; empty if nothing is.
         ended: The time at which listening ended, since the epoch [ns].
     """
 
-    source: StreamedSource
+    source: StreamedSource | TriggerStream
     type: str = ""
     wrong: str = ""
     ended: int = 0
@@ -161,10 +161,9 @@ def kernel_finding(model: str, release: str) -> Outcome:
 
 
 def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
-    """Fire pulses and detect their edges."""
+    """Fire pulses and detect their edges; `judge_sources` judges those of another program."""
     settings, delays = testbed.settings.trigger_node, []
     if settings.source == "topic":
-        yield Outcome("trigger", f"each message on {settings.topic}; no wire")
         return
     with closing(make_trigger(settings)) as trigger:
         for _ in range(_PULSES):
@@ -301,27 +300,54 @@ def running_drivers(testbed: Testbed) -> list[str]:
 
 
 def judge_sources(testbed: Testbed, heard: Sequence[HeardSource]) -> list[Outcome]:
-    """Judge the sources of other drivers: rate, age, clock and frame.
+    """Judge the sources of other drivers: rate, age, clock and frame; and the triggers.
 
     Args:
         testbed: The testbed, whose trigger and waiting time they serve.
-        heard: What was heard of each.
+        heard: What was heard of each; of the triggers, if another program makes them.
     """
     settings = testbed.settings
     rate, wait = settings.trigger_node.rate, settings.align_node.wait
-    outcomes = [_judge_source(own, rate, wait) for own in heard]
-    frames = {
-        own.source.name: own.source.frame for own in heard if own.source.name.endswith("pose")
-    }
+    outcomes, frames = [], {}
+    for own in heard:
+        if isinstance(own.source, TriggerStream):
+            rate = own.source.rate  # NaN, which nothing is below, if it is not known
+            outcomes.append(_judge_trigger(own, own.source))
+    for own in heard:
+        if isinstance(own.source, StreamedSource):
+            outcomes.append(_judge_source(own, own.source, rate, wait))
+            if own.source.name.endswith("pose"):
+                frames[own.source.name] = own.source.frame
     if len({*frames.values()}) > 1 and all(frames.values()):
         found = " and ".join(f"{name} in {frame}" for name, frame in frames.items())
         outcomes.append(Outcome("frame of the poses", found, "give both in one frame at rest"))
     return outcomes
 
 
-def _judge_source(heard: HeardSource, trigger_rate: float, wait: float) -> Outcome:
-    """Judge a source for triggers at a rate [Hz], for which the align node waits [s]."""
+def _judge_trigger(heard: HeardSource, source: TriggerStream) -> Outcome:
+    """Judge the triggers of another program."""
+    if heard.wrong:
+        return _failure("trigger", heard.wrong)
+    level, message = source.health(heard.ended)
+    if level:
+        return _failure("trigger", message)
+    parts = [f"{source.topic}: {heard.type}", f"{source.rate:.3g} Hz", _timing(heard)]
+    return Outcome("trigger", ", ".join(parts))
+
+
+def _timing(heard: HeardSource) -> str:
+    """How a source's messages are stamped, in words."""
     source = heard.source
+    if source.unstamped:
+        return "without stamps: the times of arrival count"
+    age = 1e3 * source.age(heard.ended)
+    return f"{1e3 * source.late:.1f} ms from stamp to arrival, newest {age:.0f} ms old"
+
+
+def _judge_source(
+    heard: HeardSource, source: StreamedSource, trigger_rate: float, wait: float
+) -> Outcome:
+    """Judge a source for triggers at a rate [Hz], for which the align node waits [s]."""
     what, topic = source.name, source.settings.topic
     if heard.wrong:
         return _failure(what, heard.wrong)
@@ -331,14 +357,9 @@ def _judge_source(heard: HeardSource, trigger_rate: float, wait: float) -> Outco
     parts = [f"{topic}: {heard.type}", f"{source.rate:.3g} Hz"]
     if source.name != "clusters":
         parts += [f"frame {source.frame or 'not stated'}{_in_load_cell(source.settings)}"]
-    if source.unstamped:
-        parts.append("without stamps: the times of arrival count")
-    else:
-        age = 1e3 * source.age(heard.ended)
-        parts.append(f"{1e3 * source.late:.1f} ms from stamp to arrival, newest {age:.0f} ms old")
-    found, hint = ", ".join(parts), ""
+    found, hint = ", ".join([*parts, _timing(heard)]), ""
     if source.rate < trigger_rate:
-        hint = f"raise its rate above the trigger's {trigger_rate:g} Hz, or lower the trigger's"
+        hint = f"raise its rate above the trigger's {trigger_rate:.3g} Hz, or lower the trigger's"
     elif source.late > wait:
         hint = f"set align_node's wait, {wait:g} s, above its delay of arrival"
     return Outcome(what, found, hint)

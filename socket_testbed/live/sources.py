@@ -259,10 +259,13 @@ class StreamedSource:
         topic, (fault, noted) = self.settings.topic, self._fault
         if fault and now - noted < RECENT * _SECOND:
             yield ERROR, fault
+        silence = _silence(self._heard, now, self.rate)
+        if silence and self._reader.lacking:
+            yield ERROR, f"{self.name}: {self._reader.lacking}"
         if not self._heard:
             hint = "start its driver, or check the topic's name and the ROS_DOMAIN_ID"
             yield ERROR, f"{self.name}: nothing arrives on {topic}: {hint}"
-        if silence := _silence(self._heard, now, self.rate):
+        if silence:
             yield ERROR, f"{self.name}: {topic} is {silence}: check its driver"
         if self._lacked and now - self._lacked < RECENT * _SECOND:
             yield WARN, self._lack()
@@ -277,7 +280,7 @@ class StreamedSource:
     @property
     def late(self) -> float:
         """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
-        return self.clock.clock.offset if self.clock.clock is not None else math.nan
+        return _offset(self.clock)
 
     def between(self, start: int, end: int) -> FloatArray:
         """Values of the readings in a span, as they were read, shape (n, ...).
@@ -325,6 +328,11 @@ class StreamedSource:
         }
 
 
+def _offset(clock: RunningClock) -> float:
+    """By how much the quickest messages arrive after their stamps [s]; NaN if unknown."""
+    return clock.clock.offset if clock.clock is not None else math.nan
+
+
 def _silence(heard: int, now: int, rate: float) -> str:
     """That a topic is silent, and for how long, in words; empty while it is not.
 
@@ -345,12 +353,15 @@ class TriggerStream:
         topic: Its topic, for texts.
 
     Attributes:
+        topic: Its topic, as given.
         clock: Its clock, see `RunningClock`.
+        unstamped: Whether its newest message has no stamp, so that the time of arrival counts.
     """
 
     def __init__(self, topic: str) -> None:
+        self.topic = topic
         self.clock = RunningClock()
-        self._topic = topic
+        self.unstamped = False
         self._known: foreign.Layouts = []
         self._newest: deque[int] = deque(maxlen=_NEWEST)
         self._heard = 0  # newest arrival [ns]
@@ -375,6 +386,7 @@ class TriggerStream:
             if not len(stamps):
                 continue
             self.clock.add(stamps, np.array([message.time]))
+            self.unstamped = int(stamps[0]) == message.time
             stamp = int(self.clock.to_recording(stamps)[0])
             if not self._newest or stamp > self._newest[-1]:
                 self._newest.append(stamp)
@@ -385,16 +397,25 @@ class TriggerStream:
         """State of the topic at the present time [ns]: OK, WARN or ERROR, fact and hint."""
         if not self._heard:
             hint = "start its program, or check the topic's name and the ROS_DOMAIN_ID"
-            return ERROR, f"no message on {self._topic}, each of which is a trigger: {hint}"
+            return ERROR, f"no message on {self.topic}, each of which is a trigger: {hint}"
         rate = self.rate
         if silence := _silence(self._heard, now, rate):
-            return ERROR, f"{self._topic} is {silence}: check its program"
+            return ERROR, f"{self.topic} is {silence}: check its program"
         if self.clock.is_another:
-            fact = f"the clock of {self._topic} is not this machine's"
+            fact = f"the clock of {self.topic} is not this machine's"
             hint = "its stamps are corrected by their arrival; synchronise the clocks"
             return WARN, f"{fact}: {hint}"
         shown = "" if math.isnan(rate) else f", {rate:.3g} Hz"
-        return OK, f"a trigger with each message on {self._topic}{shown}"
+        return OK, f"a trigger with each message on {self.topic}{shown}"
+
+    @property
+    def late(self) -> float:
+        """By how much its quickest messages arrive after their stamps [s]; NaN if unknown."""
+        return _offset(self.clock)
+
+    def age(self, now: int) -> float:
+        """Time since its newest trigger [s], at the present time [ns]; NaN without any."""
+        return (now - self._newest[-1]) / _SECOND if self._newest else math.nan
 
 
 class _TareDocument(Document):
@@ -537,16 +558,17 @@ def check_sources(settings: AlignSettings, namespace: str = "/") -> None:
     for name, own in settings.sources.items():
         if not own.is_foreign:
             continue
+        topic, body = foreign.topic_and_body(own.topic)
         if own.topic.startswith(foreign.TRANSFORM):
             parent, _, child = own.topic.removeprefix(foreign.TRANSFORM).strip("/").partition("/")
             if not name.endswith("pose") or not parent or not child:
                 fact = f"align_node: {name}.topic is '{own.topic}'"
                 raise ConfigurationError(fact, "give a topic, or for a pose tf:PARENT/CHILD")
-        elif not _TOPIC.fullmatch(own.topic):
+        elif not _TOPIC.fullmatch(topic) or (body and not name.endswith("pose")):
             fact = f"align_node: {name}.topic is '{own.topic}', which is no name of a topic"
             raise ConfigurationError(fact, "give one such as /ft_sensor/wrench")
         else:
-            refuse_own_topic(own.topic, f"align_node: {name}.topic", namespace)
+            refuse_own_topic(topic, f"align_node: {name}.topic", namespace)
         if (other := named.setdefault(own.topic.strip("/"), name)) != name:
             fact = f"align_node: {other}.topic and {name}.topic are both {own.topic}"
             raise ConfigurationError(fact, "give each source a topic of its own")
@@ -559,9 +581,9 @@ def foreign_topics(settings: AlignSettings, trigger: str = "") -> tuple[str, ...
         settings: The sources.
         trigger: Topic whose messages are the triggers; empty for none.
     """
-    named = [own.topic for own in settings.sources.values() if own.is_foreign]
-    named += [trigger] if trigger else []
-    return tuple(dict.fromkeys("/tf" if t.startswith(foreign.TRANSFORM) else t for t in named))
+    own = [own.topic for own in settings.sources.values() if own.is_foreign]
+    named = [foreign.topic_and_body(name)[0] for name in own]
+    return tuple(dict.fromkeys([*named, trigger] if trigger else named))
 
 
 def absent_topics(settings: AlignSettings) -> tuple[topics.Topic, ...]:

@@ -30,7 +30,6 @@ from socket_testbed.nodes.taring import TareServices
 from socket_testbed.samples import Status
 from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
 from socket_testbed.trials import foreign
-from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.foreign import TRANSFORM
 from socket_testbed.trials.imported import in_load_cell
 from socket_testbed.wire.messages import (
@@ -172,11 +171,7 @@ class AlignNode(TestbedNode[AlignSettings]):
     def _take(self) -> None:
         """Hand what has arrived to the sources."""
         for name, topic in self._topics.items():
-            messages = [
-                RawMessage(topic.name, topic.type, arrival, data)
-                for arrival, data in topic.take(self._now)
-            ]
-            self._sources[name].receive(messages)
+            self._sources[name].receive(topic.take(self._now))
 
     def _send_due(self) -> None:
         """Publish the values at the triggers that need not wait any longer."""

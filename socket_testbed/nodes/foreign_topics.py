@@ -18,10 +18,11 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.doctor import HeardSource
-from socket_testbed.live.sources import StreamedSource, refuse_own_topic
+from socket_testbed.live.sources import StreamedSource, TriggerStream, refuse_own_topic
 from socket_testbed.settings.alignment import AlignSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
+from socket_testbed.wire.cdr import define
 from socket_testbed.wire.topics import full_name
 
 _LISTEN_PERIOD = 0.05  # [s]
@@ -67,12 +68,15 @@ class ForeignTopic:
         kinds: The types that are wanted, as `package/msg/Type`.
 
     Attributes:
+        name: Its absolute name.
         type: Type of its messages; empty before a publisher is found.
+        definition: Definition of the type, see `define`; empty for a type that needs none.
     """
 
     def __init__(self, node: Node, name: str, kinds: tuple[str, ...]) -> None:
         self.name = name
         self.type = ""
+        self.definition = ""
         self._node = node
         self._kinds = kinds
         self._qos: QoSProfile | None = None
@@ -91,7 +95,8 @@ class ForeignTopic:
         wanted = sorted(types.intersection(self._kinds))
         if not wanted:
             given = ", ".join(sorted(types))
-            return f"{self.name} is a {given}: name a topic of type {' or '.join(self._kinds)}"
+            hint = foreign.another_topic(self.name, given, self._kinds)
+            return f"{self.name} is a {given}: {hint}"
         if len(types) > 1:
             others = " and ".join(sorted(types))
             return f"{self.name} has publishers of {others}: rename one of the topics"
@@ -100,31 +105,33 @@ class ForeignTopic:
             return ""
         try:
             kind = type_class(wanted[0], self.name)
+            definition = define(wanted[0], lambda name: type_class(name, self.name))
         except ConfigurationError as error:
             return str(error)
         self.close()
         self._subscription = self._node.create_subscription(
             kind, self.name, lambda data: None, qos, raw=True
         )
-        self.type, self._qos = wanted[0], qos
+        self.type, self.definition, self._qos = wanted[0], definition, qos
         return ""
 
-    def take(self, now: Callable[[], int]) -> list[tuple[int, bytes]]:
-        """The messages received since the last call, in order, with the times of their arrival.
+    def take(self, now: Callable[[], int]) -> list[RawMessage]:
+        """The messages received since the last call, in order; `time` is that of their arrival.
 
         Args:
             now: Returns the present time on the clock of the arrivals [ns].
         """
         if self._subscription is None:
             return []
-        found: list[tuple[int, bytes]] = []
+        found: list[RawMessage] = []
         subscription = self._subscription
         with subscription.handle:
             while taken := subscription.handle.take_message(subscription.msg_type, True):
                 data, info = taken
                 waited = (time.time_ns() - info["received_timestamp"]) * 1e-9
                 waited = waited if 0.0 <= waited < _MAX_AGE else 0.0
-                found.append((now() - round(1e9 * waited * clocks.time_scale()), data))
+                arrival = now() - round(1e9 * waited * clocks.time_scale())
+                found.append(RawMessage(self.name, self.type, arrival, data, self.definition))
         return found
 
     def close(self) -> None:
@@ -141,26 +148,45 @@ def foreign_topic(node: Node, source: foreign.Source, topic: str, namespace: str
         node: A node without an executor.
         source: Which source.
         topic: Its topic, as the settings name it: absolute, or relative to the namespace; for a
-            pose also `tf:PARENT/CHILD`.
+            pose also `TOPIC:BODY` or `tf:PARENT/CHILD`.
         namespace: Absolute namespace of the testbed.
 
     Raises:
         ConfigurationError: If the testbed publishes a topic of that name.
     """
-    if topic.startswith(foreign.TRANSFORM):
-        return ForeignTopic(node, "/tf", (foreign.TRANSFORMS,))
-    name = full_name(topic, namespace)
-    refuse_own_topic(topic, f"align_node: {source}.topic", namespace)
-    return ForeignTopic(node, name, foreign.KINDS[source])
+    name, _ = foreign.topic_and_body(topic)
+    if not topic.startswith(foreign.TRANSFORM):
+        refuse_own_topic(name, f"align_node: {source}.topic", namespace)
+    return ForeignTopic(node, full_name(name, namespace), foreign.kinds_of(source, topic))
+
+
+def trigger_topic(node: Node, topic: str, namespace: str) -> ForeignTopic:
+    """The topic of triggers of another program.
+
+    Args:
+        node: A node without an executor.
+        topic: Its topic, absolute or relative to the namespace.
+        namespace: Absolute namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the testbed publishes a topic of that name.
+    """
+    refuse_own_topic(topic, "trigger_node: topic", namespace)
+    return ForeignTopic(node, full_name(topic, namespace), foreign.TRIGGERS)
 
 
 def hear_sources(
-    settings: AlignSettings, clusters: Sequence[str], namespace: str = "/", within: float = 4.0
+    settings: AlignSettings,
+    trigger: str,
+    clusters: Sequence[str],
+    namespace: str = "/",
+    within: float = 4.0,
 ) -> list[HeardSource]:
-    """Listen to the sources of other drivers for a while.
+    """Listen to the sources of other drivers, and to their triggers, for a while.
 
     Args:
-        settings: Their topics.
+        settings: The topics of the sources.
+        trigger: Topic whose messages are the triggers; empty for triggers of our own.
         clusters: Names of the testbed's clusters.
         namespace: Absolute namespace of the testbed.
         within: How long to listen [s].
@@ -176,6 +202,9 @@ def hear_sources(
     try:
         heard: list[HeardSource] = []
         listening: list[ForeignTopic] = []
+        if trigger:
+            listening.append(trigger_topic(node, trigger, namespace))
+            heard.append(HeardSource(TriggerStream(trigger)))
         for name in foreign.SOURCES:
             own = settings.sources[name]
             if own.is_foreign:
@@ -185,9 +214,7 @@ def hear_sources(
         while time.monotonic() < ends:
             for topic, found in zip(listening, heard, strict=True):
                 found.wrong, found.type = topic.look(), topic.type
-                found.source.receive(
-                    [RawMessage(topic.name, topic.type, *own) for own in topic.take(clock.now)]
-                )
+                found.source.receive(topic.take(clock.now))
             time.sleep(_LISTEN_PERIOD)
         for found in heard:
             found.ended = clock.now()

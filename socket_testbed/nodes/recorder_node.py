@@ -253,15 +253,15 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _take(self) -> None:
         """Record what has arrived on the topics of other programs."""
         for topic in self._beside:
-            for time, data in topic.take(self._now):
+            for raw in topic.take(self._now):
                 if self._bag is None:
                     continue
                 name = original_name(topic.name)
                 if name not in self._counts:
-                    self._bag.add_topic(name, Topic(name, topic.type))
+                    self._bag.add_topic(name, Topic(name, raw.type), raw.definition)
                     self._counts[name] = 0
                 with self._until_disk_fails(self._bag):
-                    self._bag.write(name, time, data)
+                    self._bag.write(name, raw.time, raw.data)
                     self._counts[name] += 1
 
     def _flush(self) -> None:

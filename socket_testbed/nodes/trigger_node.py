@@ -36,7 +36,7 @@ from socket_testbed.nodes.base import (
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import READY_TIMEOUT, TriggerSettings
 from socket_testbed.wire.messages import trigger_packer
-from socket_testbed.wire.topics import CLOCK, TRIGGER, Service, full_name
+from socket_testbed.wire.topics import CLOCK, TRIGGER, Service
 
 if TYPE_CHECKING:
     from socket_testbed.live.sources import TriggerStream
@@ -172,19 +172,16 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     def _follow_topic(self, stream: TriggerStream) -> None:
         """Publish a trigger with each message of another program, until the node closes."""
-        from socket_testbed.nodes.foreign_topics import ForeignTopic
-        from socket_testbed.trials.bag import RawMessage
-        from socket_testbed.trials.foreign import TRIGGERS
+        from socket_testbed.nodes.foreign_topics import trigger_topic
 
         inbox = Inbox(self.get_name(), self.get_namespace(), {})
-        name = full_name(self.settings.topic, self.get_namespace())
-        topic, look = ForeignTopic(inbox.node, name, TRIGGERS), 0.0
+        topic = trigger_topic(inbox.node, self.settings.topic, self.get_namespace())
+        look = 0.0
         self._listening = clocks.monotonic()
         while not self._stopping.wait(clocks.real(_TAKE_PERIOD)):
             if (now := clocks.monotonic()) >= look:
                 look, self._wrong = now + _LOOK_PERIOD, topic.look()
-            taken = topic.take(self._epoch.now)
-            for stamp in stream.receive([RawMessage(name, topic.type, *own) for own in taken]):
+            for stamp in stream.receive(topic.take(self._epoch.now)):
                 if self._enabled.is_set():
                     self._sequence += 1
                     self._own.append(stamp)

@@ -48,7 +48,7 @@ def page_data(results: Results) -> dict[str, Any]:
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
     measured = pd.DataFrame(document.measured_pressure(outputs.samples, geometry))
     means = tiles.mean.value, tiles.mean.reach, tiles.shear.value, measured.mean().to_numpy()
-    arrows = document.shear_arrows(geometry, outputs.force_map.mean(outputs.samples).forces[0])
+    arrows = document.shear_arrows(geometry, outputs.mean_map.forces[0])
     mean = document.moment(found.peak_time, *means, arrows=arrows)
     moments = document.moments(time, over_trial, geometry)
     at_peak = moments[int(np.abs(time - found.peak_time).argmin())]
@@ -104,7 +104,6 @@ def section(results: Results) -> Section:
     names = [place.name for place in found.places]
     pressure = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
     over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, pressure))
-    mean = found.outputs.force_map.mean(found.outputs.samples)
     return Section(
         "pressure",
         "Pressure",
@@ -125,7 +124,7 @@ def section(results: Results) -> Section:
         {
             "pressure.csv": found.regions,
             "pressure_of_regions.csv": over_time,
-            "force_map.csv": mean.by_tile(results.trial.geometry),
+            "force_map.csv": found.outputs.mean_map.by_tile(results.trial.geometry),
         },
     )
 

@@ -32,7 +32,7 @@ from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.results.pressure import TrialPressure
 from socket_testbed.results.result import PathLike, Result, origin
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -87,7 +87,7 @@ class TrialFit(Result):
         write_model(self.fit, path_of(path, "the file"), identity)
 
     @property
-    def variant(self) -> Variant:
+    def variant(self) -> str:
         """The variant of the contact law that was fitted."""
         return self.fit.model.variant
 

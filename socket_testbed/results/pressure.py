@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.figures.style import FigureStyle, Limits
+    from socket_testbed.identification.survey_prior import SurveyPrior
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Outputs, keyed by part (`regions`, `tiles`, `limb`), name of the place, and title with the unit.
@@ -618,14 +619,18 @@ class TrialPressure(Result):
 
 
 def map_trial(
-    trial: Trial, settings: EstimatorSettings, geometry: SocketGeometry | None = None
+    trial: Trial,
+    settings: EstimatorSettings,
+    geometry: SocketGeometry | None = None,
+    prior: SurveyPrior | None = None,
 ) -> TrialMap:
     """The force map of a whole trial, with the regions of its own socket or of another.
 
     Args:
         trial: The trial, of which outliers are not used.
-        settings: The force map's prior, and the channels to leave out.
+        settings: The force map's ordinary prior, and the channels to leave out.
         geometry: A socket with the same tiles and other regions; None for the trial's own.
+        prior: A survey of the limb; None for the ordinary prior alone.
 
     Raises:
         IdentificationError: If the samples are in another unit or frame.
@@ -633,7 +638,7 @@ def map_trial(
     """
     geometry = geometry or trial.geometry
     checked = trial.checked(settings.identification.leave_out)
-    force_map, samples = checked.force_map(settings.force_map), checked.counted
+    force_map, samples = checked.force_map(settings.force_map, prior), checked.counted
     seen = np.asarray(np.isfinite(samples.trusted_forces[:, :, 2]).any(axis=0))
     clusters = {name: geometry.clusters[name] for name in compress(samples.clusters, seen)}
     places = all_regions(replace(geometry, clusters=clusters), trial.metadata.side)

@@ -59,8 +59,9 @@ class LiveSourceSettings(SourceSettings):
 
     topic: str = fixed(
         OWN,
-        "topic of the measurements of another driver, or tf:PARENT/CHILD for a transform on /tf;"
-        " none: there are none; empty: the testbed's own driver measures [-]",
+        "topic of the measurements of another driver, TOPIC:BODY for one of its rigid bodies, or"
+        " tf:PARENT/CHILD for a transform on /tf; none: there are none; empty: the testbed's own"
+        " driver measures [-]",
     )
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from operator import attrgetter
@@ -38,7 +38,7 @@ def setting(
     description: str,
     low: float = -FINITE,
     high: float = FINITE,
-    choices: tuple[str, ...] = (),
+    choices: Sequence[str] = (),
     fixed: bool = False,
     auto: float | None = None,
 ) -> Any:
@@ -71,12 +71,17 @@ def _document(kind: Any) -> type[msgspec.Struct]:
     return msgspec.defstruct(kind.__name__, declared, bases=(Document,))
 
 
+def renew_choices() -> None:
+    """Let settings that are made from now on take choices that were added to a field."""
+    _document.cache_clear()
+
+
 def _checked(kind: Any, limits: Mapping[str, Any]) -> Any:
     """A type annotated with the limits of its field."""
     if get_origin(kind) is tuple:
         return tuple[_checked(get_args(kind)[0], limits), ...]  # type: ignore[misc]
     if limits["choices"]:
-        return Literal[limits["choices"]]
+        return Literal[tuple(limits["choices"])]
     span = {"ge": limits["low"], "le": limits["high"]} if kind in (int, float) else {}
     return Annotated[kind, Meta(description=limits["description"], **span)]
 

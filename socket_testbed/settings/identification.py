@@ -8,13 +8,33 @@ from dataclasses import dataclass
 from typing import Literal, TypedDict, get_args
 
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.settings.fields import Settings, setting
+from socket_testbed.settings.fields import Settings, renew_choices, setting
 
 Variant = Literal["stiffness", "stiffness_bias", "rigid", "rigid_bias"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
 PAPER_VARIANTS: tuple[Variant, ...] = ("stiffness", "stiffness_bias")
-BIAS_VARIANTS: tuple[Variant, ...] = ("stiffness_bias", "rigid_bias")
+VARIANTS: list[str] = [*get_args(Variant)]  # and those of `add_variant`
+BIAS_VARIANTS = ["stiffness_bias", "rigid_bias"]
 Weights = Literal["size", "noise", "raw"]
+
+
+def add_variant(name: str, offsets: bool) -> None:
+    """Accept a variant that the package does not have; `contact.register_law` gives it a law.
+
+    Args:
+        name: The variant; one that was added before is added anew.
+        offsets: Whether its models have constant offsets of the sensors.
+
+    Raises:
+        ConfigurationError: If it is a variant of the package, or no name.
+    """
+    taken = name in get_args(Variant)
+    if taken or not str(name).isidentifier():
+        why = "that of one of the package's" if taken else "no identifier"
+        fact = f"the law's name '{name}' is {why}"
+        raise ConfigurationError(fact, "give it a name of its own, such as 'hardening'")
+    for names, listed in ((VARIANTS, True), (BIAS_VARIANTS, offsets)):
+        names[:] = [other for other in names if other != name] + [name] * listed
+    renew_choices()
 
 
 def check_solver(solver: str) -> None:
@@ -159,7 +179,7 @@ class FitChoices(ReportChoices, total=False):
         theta, pose_smoothing, frames, initial_stiffness: As in `IdentificationSettings`.
     """
 
-    variant: Variant | None
+    variant: Variant | str | None
 
 
 class PaperChoices(TypedDict, total=False):

@@ -286,7 +286,19 @@ class PaperOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValidationOptions(ThetaOptions, PoseOptions):
+class PriorOptions(Options):
+    """The prior of the force map."""
+
+    prior: Path | None = option(
+        None,
+        "a survey of this limb in this socket, such as the file of survey -o FILE.json, as a prior"
+        " of the force map; the trial must not be in it",
+        metavar="SURVEY",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationOptions(ThetaOptions, PoseOptions, PriorOptions):
     """Options of `st.validate`."""
 
     segment: str = segment_option("all")
@@ -312,7 +324,7 @@ class EvaluationOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapOptions(Options):
+class MapOptions(PriorOptions):
     """Options of `st.force_map`."""
 
     segment: str = segment_option("plateau")
@@ -335,7 +347,7 @@ class PressureOptions(MapOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComparisonOptions(Options):
+class ComparisonOptions(PriorOptions):
     """Options of `st.compare`."""
 
     segment: str = segment_option("plateau")
@@ -364,7 +376,7 @@ class SurveyOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
+class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions, PriorOptions):
     """Options of `st.write_report`."""
 
     model: Path | None = option(None, "a further model to show", metavar="MODEL")
@@ -372,7 +384,7 @@ class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions(Options):
+class ExportOptions(PriorOptions):
     """Options of `st.export`."""
 
     segment: str = segment_option("all")
@@ -466,14 +478,16 @@ class ImportOptions(Options):
     )
     socket_pose: str | None = option(
         None,
-        "topic of the pose of the socket's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
-        " of a take, or none (default: found by type and name)",
+        "topic of the pose of the socket's marker body, TOPIC:BODY for one of rigid bodies,"
+        " tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by type and"
+        " name)",
         metavar="TOPIC",
     )
     pylon_pose: str | None = option(
         None,
-        "topic of the pose of the pylon's marker body, tf:PARENT/CHILD for a transform, FILE:BODY"
-        " of a take, or none (default: found by type and name)",
+        "topic of the pose of the pylon's marker body, TOPIC:BODY for one of rigid bodies,"
+        " tf:PARENT/CHILD for a transform, FILE:BODY of a take, or none (default: found by type and"
+        " name)",
         metavar="TOPIC",
     )
     clusters: str | None = option(
@@ -533,10 +547,23 @@ class ImportOptions(Options):
         metavar="T0:T1",
     )
     mapping: Path | None = option(
-        None, "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}"
+        None,
+        "a mapping.yaml with topics, windows, delays and the pose of the load cell in {S}",
+        either="mapping",
     )
-    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
-    calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")
+    like: Path | None = option(
+        None,
+        "an imported trial, whose mapping, socket and calibration are used again, with the delays"
+        " that were found; whatever else is given replaces its own",
+        metavar="TRIAL",
+        either="mapping",
+    )
+    geometry: Path | None = option(
+        None, "a socket.yaml (default: that of the trial to be like, or the package's own)"
+    )
+    calibration: Path | None = option(
+        None, "a calibration.yaml (default: that of the trial to be like, or the package's own)"
+    )
 
 
 # The socket and its calibration.

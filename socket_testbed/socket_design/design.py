@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
-from socket_testbed.errors import ConfigurationError, RegistrationError, closest, naming
+from socket_testbed.errors import ConfigurationError, RegistrationError, naming
 from socket_testbed.geometry.pose import Point, Pose, ScanPoint, about_z
-from socket_testbed.geometry.regions import SocketAxis, all_regions, axis_between
+from socket_testbed.geometry.regions import SocketAxis, all_regions, axis_between, tiles_named
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace, place_clusters
 from socket_testbed.socket_design.interior import find_interior, refuse_implausible
@@ -356,22 +356,6 @@ def with_proposed_clusters(
     )
     geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)
     return dataclasses.replace(design, geometry=geometry, notes=(*design.notes, note))
-
-
-def tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
-    """Indices of the tiles of a region, or of the tile of that name, shape (k,).
-
-    Args:
-        name: Name of the region or tile.
-        tiles: Indices of the tiles keyed by the names of regions and tiles.
-
-    Raises:
-        ConfigurationError: If there is no region or tile of this name.
-    """
-    if name not in tiles:
-        fact = f"--keep-out: there is no region or tile '{name}'"
-        raise ConfigurationError(fact, closest(name, tiles))
-    return tiles[name]
 
 
 # Usual places of three of the testbed's clusters: angle from anterior [deg], relative height [-].

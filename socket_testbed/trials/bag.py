@@ -51,7 +51,7 @@ from socket_testbed.trials.bag_parts import (
 from socket_testbed.trials.mcap_file import McapFile, is_empty
 from socket_testbed.trials.sqlite_file import SqliteFile
 from socket_testbed.version import __version__
-from socket_testbed.wire.cdr import typestore
+from socket_testbed.wire.cdr import types_of, typestore
 from socket_testbed.wire.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
 
 _MAX_UNPACKED = 2**28  # [bytes]; size limit of an unpacked file, or
@@ -74,12 +74,15 @@ class RawMessage(NamedTuple):
         type: Its type, as `package/msg/Type`.
         time: When the recorder received it, since the epoch [ns]; not the stamp in its header.
         data: Its content, serialised (CDR) and uncompressed.
+        definition: Definition of its type (ros2msg), if the recording states it; empty for a type
+            that needs none, as `typestore` holds it.
     """
 
     topic: str
     type: str
     time: int
     data: bytes
+    definition: str = ""
 
 
 Storage: TypeAlias = McapFile | SqliteFile
@@ -211,13 +214,16 @@ class BagReader:
             if not connections:
                 continue
             left = {connection.id: connection.msgcount for connection in connections}
+            known = typestore().fielddefs
             try:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
                     content = bytes(data)
                     if content.startswith(ZSTD_MAGIC):
                         content = zstd.decompress(content)
-                    yield RawMessage(connection.topic, connection.msgtype, time, content)
+                    kind = connection.msgtype
+                    definition = "" if kind in known else reader.definitions.get(kind, "")
+                    yield RawMessage(connection.topic, kind, time, content, definition)
             except Exception as error:  # the library may raise any exception
                 raise _damaged(file, error) from None
             if lacking := sum(left.values()):
@@ -234,10 +240,10 @@ class BagReader:
             order within the topic.
         """
         blocks: dict[str, list[bytes]] = defaultdict(list)
-        for topic, _, _, data in self.messages(topics):
-            blocks[topic].append(data)
-            if len(blocks[topic]) == _BLOCK_SIZE:
-                yield topic, blocks.pop(topic)
+        for raw in self.messages(topics):
+            blocks[raw.topic].append(raw.data)
+            if len(blocks[raw.topic]) == _BLOCK_SIZE:
+                yield raw.topic, blocks.pop(raw.topic)
         yield from blocks.items()
 
     def _read_metadata(self) -> BagMetadata | None:
@@ -759,17 +765,19 @@ class BagWriter:
             with suppress(OSError):
                 end()
 
-    def add_topic(self, name: str, topic: Topic) -> None:
+    def add_topic(self, name: str, topic: Topic, definition: str = "") -> None:
         """Declare a topic; messages are written to it afterwards.
 
         Args:
             name: Its full name in the graph, such as `/left/trigger`.
             topic: The testbed's topic, which gives the type and the quality of service.
+            definition: Definition of its type, see `types_of`.
         """
+        types = types_of(topic.type, definition)
         if topic.type not in self._schemas:
-            definition, _ = typestore().generate_msgdef(topic.type, ros_version=2)
+            text, _ = types.generate_msgdef(topic.type, ros_version=2)
             self._schemas[topic.type] = self._writer.register_schema(
-                topic.type, "ros2msg", definition.encode()
+                topic.type, "ros2msg", text.encode()
             )
         qos = [_quality_of_service(topic)]
         channel = self._writer.register_channel(
@@ -780,7 +788,7 @@ class BagWriter:
             "type": topic.type,
             "serialization_format": "cdr",
             "offered_qos_profiles": qos,
-            "type_description_hash": typestore().hash_rihs01(topic.type),
+            "type_description_hash": types.hash_rihs01(topic.type),
         }
         self._topics[name] = _WrittenTopic(channel, stated)
 

@@ -6,6 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -18,11 +19,21 @@ from socket_testbed.errors import TrialError, closest, listed, option_of
 from socket_testbed.samples import Status
 from socket_testbed.settings.alignment import NONE
 from socket_testbed.trials.bag import BagReader, RawMessage
+from socket_testbed.trials.rigid_bodies import (
+    BODIES,
+    bodies_in,
+    body_names,
+    each_decoded,
+    lacking_body,
+    require_definition,
+)
 from socket_testbed.wire import cdr, topics
+from socket_testbed.wire.cdr import stamp_of
 
 Source: TypeAlias = Literal["wrench", "socket_pose", "pylon_pose", "clusters"]
 SOURCES: tuple[Source, ...] = get_args(Source)
 TRANSFORM = "tf:"  # begins a source that is a transform, such as tf:world/socket
+BODY = ":"  # ends the topic of a source that is one of its bodies, such as /rigid_bodies:socket
 
 _WRENCHES = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -35,12 +46,12 @@ _NUMBERS, _NAMED = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState
 _CLUSTERS = (topics.CAPACITANCE.type, topics.STRESS.type, _NUMBERS, _NAMED)
 KINDS: dict[Source, tuple[str, ...]] = {
     "wrench": _WRENCHES,
-    "socket_pose": _POSES,
-    "pylon_pose": _POSES,
+    "socket_pose": (*_POSES, *BODIES),
+    "pylon_pose": (*_POSES, *BODIES),
     "clusters": _CLUSTERS,
 }
-TRIGGERS = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *_CLUSTERS)
-TYPES = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *_CLUSTERS, TRANSFORMS)  # all that can be read
+TRIGGERS = (topics.TRIGGER.type, *_WRENCHES, *_POSES, *BODIES, *_CLUSTERS)
+TYPES = (*TRIGGERS, TRANSFORMS)  # all that can be read
 WORDS: dict[Source, tuple[str, ...]] = {  # in the names of topics and bodies
     "socket_pose": ("socket",),
     "pylon_pose": ("pylon", "limb", "stump", "residu", "shank", "bone"),
@@ -56,8 +67,10 @@ LACKING: dict[Source, str] = {  # what a trial cannot do without the source
 }
 _CHANNEL = re.compile(r"(?P<cluster>.+?)[._/: -]?(?P<channel>[0-3])")
 _MAX_LAYOUTS = 200
+_MAX_BODY_LAYOUTS = 8  # of bodies, most of which have either few layouts or a new one each time
 _REMEMBERED = 20  # layouts, of a topic that is being read
 _MAX_LISTED = 4
+_MAX_SEARCHED = 1000  # messages, for the names of bodies
 
 
 @dataclass(frozen=True)
@@ -65,7 +78,7 @@ class ForeignSource:
     """What a topic measured, on the clock of the recording.
 
     Attributes:
-        topic: Its name, or `tf:PARENT/CHILD`.
+        topic: Its name, or `TOPIC:BODY` or `tf:PARENT/CHILD`.
         type: Its message type, as `package/msg/Type`.
         series: The measurements.
         notes: What was assumed or left out, one line each.
@@ -75,6 +88,18 @@ class ForeignSource:
     type: str
     series: Series
     notes: tuple[str, ...]
+
+
+def topic_and_body(name: str) -> tuple[str, str]:
+    """The topic and the body of a source; without a body it is empty.
+
+    Args:
+        name: A topic, `TOPIC:BODY` or `tf:PARENT/CHILD`, whose topic is `/tf`.
+    """
+    if name.startswith(TRANSFORM):
+        return "/tf", ""
+    topic, _, body = name.partition(BODY)  # no topic's name has a colon
+    return topic, body
 
 
 def propose(bag: BagReader, chosen: Mapping[Source, str]) -> dict[Source, str]:
@@ -92,6 +117,8 @@ def propose(bag: BagReader, chosen: Mapping[Source, str]) -> dict[Source, str]:
             none is there for any source.
     """
     held = {name: kind for name, kind in bag.types.items() if bag.counts.get(name)}
+    if any(source not in chosen for source in ("socket_pose", "pylon_pose")):
+        held = _with_bodies(bag, held)
     found: dict[Source, str] = {}
     for source, name in chosen.items():
         if name != NONE:
@@ -127,6 +154,45 @@ def propose(bag: BagReader, chosen: Mapping[Source, str]) -> dict[Source, str]:
     return found
 
 
+def refuse_lacking(bag: BagReader, named: Mapping[str, str]) -> None:
+    """Refuse a bag that lacks several topics that are named, in one line.
+
+    Args:
+        bag: The open bag.
+        named: By option, such as `wrench` or `trigger`, a topic, `TOPIC:BODY` or
+            `tf:PARENT/CHILD`; `none` is left out.
+
+    Raises:
+        TrialError: If it lacks more than one; where it lacks one, `propose` says more.
+    """
+    lacking = [
+        f"{topic_and_body(name)[0]} of {option_of(option)}"
+        for option, name in named.items()
+        if name != NONE and not bag.counts.get(topic_and_body(name)[0])
+    ]
+    if len(lacking) > 1:
+        raise TrialError(
+            f"{bag.path}: holds no message of {' and '.join(lacking)}",
+            "name other topics, or leave each out with none",
+        )
+
+
+def _with_bodies(bag: BagReader, held: Mapping[str, str]) -> dict[str, str]:
+    """Types by topic, with each topic of bodies replaced by its bodies.
+
+    Raises:
+        TrialError: If such a topic cannot be read.
+    """
+    parts: dict[str, str] = {}
+    for name, kind in held.items():
+        if kind in BODIES:
+            first = [*islice(bag.messages([name]), _MAX_SEARCHED)]
+            parts |= {f"{name}{BODY}{body}": kind for body in body_names(first)}
+        else:
+            parts[name] = kind
+    return parts
+
+
 def in_words(source: str) -> str:
     """A source's name in a text, such as `pylon pose`."""
     return source.replace("_", " ")
@@ -142,7 +208,13 @@ def _named(source: Source, suited: Sequence[str], held: Mapping[str, str]) -> li
     if own:
         capacitances = [name for name in own if held[name] == topics.CAPACITANCE.type]
         return capacitances or own
-    return [name for name in suited if any(word in name.lower() for word in WORDS[source])]
+    return [name for name in suited if any(word in _label(name) for word in WORDS[source])]
+
+
+def _label(name: str) -> str:
+    """The part of a name that tells what a topic or body is, in lower case."""
+    topic, body = topic_and_body(name)
+    return (body or topic).lower()
 
 
 def _refuse_unclear_poses(
@@ -153,7 +225,9 @@ def _refuse_unclear_poses(
 ) -> None:
     """Ask which pose is which where names do not tell it."""
     left = sorted(
-        name for name, kind in held.items() if kind in _POSES and name not in found.values()
+        name
+        for name, kind in held.items()
+        if kind in KINDS["socket_pose"] and name not in found.values()
     )
     open_ones = [s for s in ("socket_pose", "pylon_pose") if s not in found and s not in chosen]
     if left and open_ones:
@@ -174,15 +248,45 @@ def _check_topic(bag: BagReader, source: Source, name: str) -> None:
             fact = f"{bag.path}: holds no {TRANSFORMS}, for {option} {name}"
             raise TrialError(fact, "record /tf, or name a topic with poses")
         return
-    if not bag.counts.get(name):
+    topic, body = topic_and_body(name)
+    if body and source not in ("socket_pose", "pylon_pose"):
+        raise TrialError(f"{option} is '{name}'", "give a topic; bodies have poses alone")
+    if not bag.counts.get(topic):
         known = [n for n, kind in bag.types.items() if kind in KINDS[source] and bag.counts.get(n)]
-        state = "holds no message" if name in bag.types else "is not in the bag"
-        raise TrialError(f"{bag.path}: the topic {name} of {option} {state}", closest(name, known))
-    if bag.types[name] not in KINDS[source]:
+        state = "holds no message" if topic in bag.types else "is not in the bag"
         raise TrialError(
-            f"{bag.path}: {name} of {option} is a {bag.types[name]}",
-            f"name a topic of type {' or '.join(KINDS[source])}",
+            f"{bag.path}: the topic {topic} of {option} {state}", closest(topic, known)
         )
+    kind, kinds = bag.types[topic], kinds_of(source, name)
+    if kind not in kinds:
+        hint = another_topic(topic, kind, kinds)
+        raise TrialError(f"{bag.path}: {topic} of {option} is a {kind}", hint)
+
+
+def kinds_of(source: Source, name: str) -> tuple[str, ...]:
+    """The types that a source may have.
+
+    Args:
+        source: Which one.
+        name: Its topic, `TOPIC:BODY`, or `tf:PARENT/CHILD`.
+    """
+    if name.startswith(TRANSFORM):
+        return (TRANSFORMS,)
+    _, body = topic_and_body(name)
+    return BODIES if body else tuple(kind for kind in KINDS[source] if kind not in BODIES)
+
+
+def another_topic(topic: str, kind: str, kinds: Sequence[str]) -> str:
+    """A hint for a topic that has none of the types that its use allows.
+
+    Args:
+        topic: The topic.
+        kind: Its type, as `package/msg/Type`.
+        kinds: The types that would do.
+    """
+    if kind in BODIES and kinds == kinds_of("socket_pose", topic):
+        return f"name one of its bodies, such as {topic}{BODY}socket"
+    return f"name a topic of type {' or '.join(kinds)}"
 
 
 def _transform_topics(bag: BagReader) -> list[str]:
@@ -199,9 +303,10 @@ def read_messages(
         names: The topic of each source.
         trigger: The topic of the triggers; None for none.
     """
-    wanted = {name for name in names.values() if not name.startswith(TRANSFORM)}
-    if len(wanted) < len({*names.values()}):
-        wanted |= {*_transform_topics(bag)}
+    wanted: set[str] = set()
+    for name in names.values():
+        is_transform = name.startswith(TRANSFORM)
+        wanted |= {*_transform_topics(bag)} if is_transform else {topic_and_body(name)[0]}
     if trigger is not None:
         wanted.add(trigger)
     messages: dict[str, list[RawMessage]] = defaultdict(list)
@@ -217,6 +322,9 @@ def read_stamps(messages: Sequence[RawMessage], known: Layouts | None = None) ->
         messages: The messages, of one type.
         known: Layouts of earlier messages, to which new ones are added; None for none.
     """
+    if messages and messages[0].type in BODIES:
+        times = [stamp_of(own) or message.time for message, own in each_decoded(messages, [])]
+        return np.unique(np.array(times, dtype=np.int64))
     parts = [
         np.where(stamps == 0, arrivals, stamps)
         for arrivals, stamps, _, _ in _decoded(messages, known=known)
@@ -234,7 +342,7 @@ def read_source(
 
     Args:
         source: Which one.
-        name: Its topic, or `tf:PARENT/CHILD`.
+        name: Its topic, `TOPIC:BODY`, or `tf:PARENT/CHILD`.
         messages: The messages of the bag by topic, see `read_messages`.
         clusters: Names of clusters for an array that has none, in its order, four values each.
 
@@ -249,11 +357,13 @@ def read_source(
             if message.type == TRANSFORMS
         ]
     else:
-        own = [*messages.get(name, ())]
+        own = [*messages.get(topic_and_body(name)[0], ())]
     kind = own[0].type if own else ""
     notes: list[str] = []
     parts = list(_values(source, name, own, clusters, notes))
     if not parts:
+        if kind in BODIES:
+            raise TrialError(*lacking_body(topic_and_body(name)[1], own))
         raise TrialError(f"{name}: holds no reading of the {in_words(source)}", "check the topic")
     columns = {column for _, _, _, column in parts}
     if len(columns) > 1:
@@ -303,11 +413,15 @@ class SourceReader:
 
     Args:
         source: Which source.
-        name: Its topic, or `tf:PARENT/CHILD`.
+        name: Its topic, `TOPIC:BODY`, or `tf:PARENT/CHILD`.
         clusters: Names of clusters for an array that has none, in its order, four values each.
+
+    Attributes:
+        lacking: That the newest messages lack the body, fact and hint in one line; empty if not.
     """
 
     def __init__(self, source: Source, name: str, clusters: Sequence[str] = ()) -> None:
+        self.lacking = ""
         self._source = source
         self._name = name
         self._clusters = clusters
@@ -327,27 +441,36 @@ class SourceReader:
         Raises:
             TrialError: If the messages are not such a source.
         """
-        yield from _values(self._source, self._name, messages, self._clusters, notes, self._known)
+        found = False
+        for part in _values(self._source, self._name, messages, self._clusters, notes, self._known):
+            found = True
+            yield part
         del self._known[:-_REMEMBERED]
+        self.lacking = ""
+        if not found and messages[0].type in BODIES:
+            _, body = topic_and_body(self._name)
+            self.lacking = ": ".join(lacking_body(body, messages))
 
 
 def _decoded(
     messages: Sequence[RawMessage],
     notes: list[str] | None = None,
     known: Layouts | None = None,
+    most: int = _MAX_LAYOUTS,
+    others: list[RawMessage] | None = None,
 ) -> Iterator[tuple[IntArray, IntArray, cdr.Record, Any]]:
     """Arrivals and stamps [ns], numbers and one sample of messages, each part of one layout.
 
     Without a header the stamps are the arrivals. The known layouts are tried first, and new ones
-    are added to them.
+    are added to them. Messages beyond the most layouts go to `others`, or are left out.
     """
     known = [] if known is None else known
     if not messages:
         return
-    kind, name = messages[0].type, messages[0].topic
+    kind, name, definition = messages[0].type, messages[0].topic, messages[0].definition
     arrivals = np.array([message.time for message in messages], dtype=np.int64)
     left, refused = np.arange(len(messages)), 0
-    for tried in range(_MAX_LAYOUTS):
+    for tried in range(most):
         if not len(left):
             break
         if tried - refused < len(known):
@@ -355,7 +478,8 @@ def _decoded(
         else:
             first = messages[left[0]].data
             try:
-                layout, sample = cdr.Layout(first, kind), cdr.decode(first, kind)
+                layout = cdr.Layout(first, kind, definition)
+                sample = cdr.decode(first, kind, definition)
             except Exception:  # the library may raise any exception
                 left, refused = left[1:], refused + 1
                 continue
@@ -367,7 +491,10 @@ def _decoded(
         stamps = cdr.stamps_of(records) if "header" in (records.dtype.names or ()) else own
         yield own, stamps, records, sample
         left = left[~fits]
-    refused += len(left)
+    if others is None:
+        refused += len(left)
+    else:
+        others += [messages[row] for row in left.tolist()]
     if refused and notes is not None:
         notes.append(f"{name}: {refused} messages cannot be decoded, and are left out")
 
@@ -382,6 +509,9 @@ def _values(
 ) -> Iterator[_Part]:
     """The values of messages of one kind, in parts."""
     kind = messages[0].type if messages else ""
+    if kind in BODIES:
+        yield from _body(name, messages, notes, known)
+        return
     for arrivals, stamps, records, sample in _decoded(messages, notes, known):
         if kind == TRANSFORMS:
             yield from _transforms(name, arrivals, records, sample)
@@ -400,6 +530,38 @@ def _transforms(name: str, arrivals: IntArray, records: cdr.Record, sample: Any)
             record = records["transforms"][str(number)]
             values = _joined(record["transform"], "translation", "rotation")
             yield cdr.stamps_of(record), arrivals, values, (parent,)
+
+
+def _body(
+    name: str, messages: Sequence[RawMessage], notes: list[str], known: Layouts | None
+) -> Iterator[_Part]:
+    """The poses of a body where it is tracked, in the order of arrival, in parts of one frame."""
+    _, wanted = topic_and_body(name)
+    others: list[RawMessage] = []
+    parts: dict[str, list[tuple[IntArray, IntArray, FloatArray]]] = defaultdict(list)
+    require_definition(messages[0])
+    for arrivals, stamps, records, sample in _decoded(
+        messages, notes, known, _MAX_BODY_LAYOUTS, others
+    ):
+        for number, own in enumerate(sample.rigidbodies):
+            if own.rigid_body_name == wanted:
+                record, frame, stamped = records["rigidbodies"][str(number)], "", stamps
+                if hasattr(own, "header"):  # which most drivers leave empty
+                    frame, stamped = own.header.frame_id, cdr.stamps_of(record)
+                    stamped = np.where(stamped == 0, stamps, stamped)
+                values = _joined(record["pose"], "position", "orientation")
+                seen = values[:, :3].any(axis=1) & values[:, 3:].any(axis=1)
+                part = stamped[seen], arrivals[seen], values[seen]
+                parts[frame or sample.header.frame_id].append(part)
+    for message, body in bodies_in(others, notes) if others else ():
+        if body.name == wanted and body.pose:
+            row = [body.stamp], [message.time], [body.pose]
+            parts[body.frame].append((np.array(row[0]), np.array(row[1]), np.array(row[2])))
+    for frame, found in parts.items():
+        stamps, arrivals, values = (np.concatenate(column) for column in zip(*found, strict=True))
+        order = np.argsort(arrivals, kind="stable")
+        if len(order):
+            yield stamps[order], arrivals[order], values[order], (frame,)
 
 
 def _joined(record: cdr.Record, *fields: str) -> FloatArray:

@@ -1,8 +1,8 @@
 """Writes a trial from sources that know no trigger, and the record of how it was made.
 
 The trial holds the testbed's topics, one message per trigger, and beside them the messages or
-tables from which they were made, unchanged. `import.yaml` in its folder states the mapping, delays
-and windows.
+tables from which they were made, unchanged. `import.yaml` in its folder states the mapping, with
+which other recordings can be imported alike, and what came of it.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from msgspec import Meta, field
+from msgspec import Meta, field, to_builtins
 
 from socket_testbed.alignment.align import Aligned
 from socket_testbed.alignment.common_clock import MAX_OFFSET
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray, finite_mean
-from socket_testbed.documents import Document, dump_yaml
+from socket_testbed.documents import Document, convert, dump_yaml, load_yaml
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_new_folder, make_folder
 from socket_testbed.geometry.pose import PoseDocument
 from socket_testbed.settings.alignment import MAX_DELAY, SourceSettings
@@ -27,6 +28,7 @@ from socket_testbed.trials.trial import store_configuration
 from socket_testbed.wire import messages, topics
 
 RECORD_FILE = "import.yaml"
+MAPPING = "mapping"  # the part of it that `read_mapping` reads
 _HEADER = "# How this trial was made by 'socket-testbed import': times in s, lengths in m.\n"
 ORIGINALS = "originals"  # folder of a trial that holds the tables it was made from
 ORIGINAL = "/original"  # ends the name of an original topic that is called like the testbed's
@@ -39,8 +41,8 @@ class SourceDocument(Document):
     """A source in a mapping file.
 
     Attributes:
-        topic: Its topic, `tf:PARENT/CHILD` for a pose, the file of its table, `FILE:BODY` for a
-            body of a take, or `none`; None to find it.
+        topic: Its topic, `TOPIC:BODY` or `tf:PARENT/CHILD` for a pose, the file of its table,
+            `FILE:BODY` for a body of a take, or `none`; None to find it.
         delay: Delay of its stamps behind the measurement [s]; `auto` to find it against the load.
         offset: What is added to the times of its table, see `Offset` [s], or `tap` to find it from
             a tap; None for a topic, and for a table whose offset follows from others.
@@ -118,6 +120,37 @@ class SourceMapping(Document):
     units: dict[str, str] = field(default_factory=dict)
 
 
+def stated(mapping: SourceMapping) -> dict[str, Any]:
+    """A mapping as a file states it, without what is usual anyway."""
+    usual, found = to_builtins(SourceMapping()), {}
+    for name, value in to_builtins(mapping).items():
+        given = value
+        if isinstance(value, dict):
+            given = {key: own for key, own in value.items() if own != usual[name].get(key)}
+        if given not in ({}, usual[name]):
+            found[name] = given
+    return found
+
+
+def read_mapping(trial: Path) -> SourceMapping:
+    """The mapping with which a trial was imported.
+
+    Args:
+        trial: Its folder.
+
+    Raises:
+        ConfigurationError: If it is no imported trial, or its record is wrong.
+    """
+    file = trial / RECORD_FILE
+    if not file.is_file():
+        fact = f"{trial}: holds no {RECORD_FILE}"
+        raise ConfigurationError(fact, "give a trial that 'import' made")
+    record = load_yaml(file)
+    if not isinstance(record, dict) or MAPPING not in record:
+        raise ConfigurationError(f"{file}: states no {MAPPING}", "import that trial again")
+    return convert(record[MAPPING], SourceMapping, f"{file}: {MAPPING}")
+
+
 def in_load_cell(values: FloatArray, mapping: WrenchDocument) -> FloatArray:
     """Wrenches [M; F] of the limb on the socket in {S}, shape (N, 6) [N m, N].
 
@@ -169,7 +202,7 @@ def write_imported_trial(
     """
     check_new_folder(path)
     make_folder(path.parent)
-    types = {message.topic: message.type for message in originals}
+    types = {message.topic: (message.type, message.definition) for message in originals}
     kept = {name: original_name(name) for name in types}
     entries = [(message.time, kept[message.topic], message.data) for message in originals]
     own = [topics.TRIGGER, topics.WRENCH, topics.CAPACITANCE]
@@ -193,8 +226,8 @@ def write_imported_trial(
         with BagWriter(staging) as bag:
             for topic in [*own, *poses]:
                 bag.add_topic(f"/{topic.name}", topic)
-            for name, kind in types.items():
-                bag.add_topic(kept[name], topics.Topic(kept[name], kind))
+            for name, (kind, definition) in types.items():
+                bag.add_topic(kept[name], topics.Topic(kept[name], kind), definition)
             for time, name, data in entries:
                 bag.write(name, time, data)
         record_text = _HEADER + dump_yaml(dict(record))

@@ -157,6 +157,7 @@ class McapFile:
             readable or not.
         message_count: Number of readable messages.
         connections: The topics.
+        definitions: Definitions of the message types (ros2msg), by name.
 
     Raises:
         TrialError: If a truncated or damaged file holds no complete chunk of messages, or its
@@ -183,6 +184,11 @@ class McapFile:
         counts = sum((chunk.counts for chunk in self._chunks), Counter[int]())
         self.message_count = counts.total()
         self.connections = _connections(found.definitions, counts)
+        self.definitions = {
+            record.name: record.data.decode(errors="replace")
+            for record in found.definitions
+            if isinstance(record, Schema) and record.encoding == "ros2msg"
+        }
         if sum(connection.msgcount for connection in self.connections) < self.message_count:
             raise TrialError(f"{name}: is damaged, its topics are lost", COPY_AGAIN)
 

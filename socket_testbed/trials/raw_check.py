@@ -9,6 +9,8 @@ of a cluster, the bridges of the load cell, and each marker body.
   chance, and come back later: these do not count.
 - A declared cluster without a message, and a load above the capacity of the load cell, are faults
   whatever else was measured.
+- No two inputs read the same.
+- A wrench is its bridges' ratios times the matrix, less the tare.
 - The quaternions of a marker body turn as its markers do.
 - What the nodes reported as an ERROR during the recording is told again.
 """
@@ -16,14 +18,15 @@ of a cluster, the bridges of the load cell, and each marker body.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
+from itertools import combinations, islice
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray, gaps, runs, usual_period
 from socket_testbed.drivers import ERROR
 from socket_testbed.drivers.load_cell import load_cell
-from socket_testbed.errors import TrialError, fact_and_hint
+from socket_testbed.drivers.load_cell.load_cell import Bridges
+from socket_testbed.errors import ConfigurationError, TrialError, fact_and_hint
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -38,11 +41,14 @@ from socket_testbed.identification.data_check import (
 from socket_testbed.identification.noise import deviations
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.bag import BagReader, required_topics
+from socket_testbed.trials.reprocess import wrench_mismatch
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.wire import topics
 from socket_testbed.wire.cdr import decode, stamp_of
 from socket_testbed.wire.messages import Reader
 
+MAX_MISMATCH = 0.002  # [-]; of a wrench from its ratios, relative to the full scale; sound 1e-6
+MAX_SAME = 0.5  # [-]; share of samples in which two inputs read the same; sound 0.0
 MAX_REPEATED = 0.1  # [-]; share of readings that repeat the one before; sound 0.0
 NOISE_RATIO = 8.0  # [-]; of an input's noise to that of its cluster's others; sound up to 1.6
 MIN_INPUT_NOISE = 0.01  # [pF]; sound 0.002
@@ -67,11 +73,39 @@ def check_readings(
         found += [
             *_stopped_clusters(measured),
             *_noisy_inputs(measured),
+            *_same_inputs(measured),
             *_stopped_bodies(measured),
         ]
         found += [*_stopped_bridges(measured), *_missing_bridges(measured)]
         found += _repetitions(measured)
     return tuple(found)
+
+
+def check_wrench(measured: Measurements, cell: LoadCellSettings) -> Iterator[DataFinding]:
+    """Recorded wrenches that are not those of the recorded ratios, by the trial's own settings.
+
+    Args:
+        measured: The measurements as recorded, N of them.
+        cell: The settings of the load cell stored with the trial; without a matrix nothing is
+            found.
+    """
+    if not cell.matrix or not len(measured.ratios):
+        return
+    try:
+        bridges = Bridges(cell)
+    except ConfigurationError:  # who needs the matrix reports it
+        return
+    off = wrench_mismatch(measured, bridges).max(axis=1)
+    off = off[np.isfinite(off)]
+    share = float(np.mean(off > MAX_MISMATCH)) if len(off) >= LEAST_CHECKED else 0.0
+    if share > MAX_MISSING:
+        yield DataFinding(
+            "the load cell",
+            f"{100.0 * share:.0f} % of the wrenches are not what its ratios and its matrix say, by"
+            f" up to {100.0 * off.max():.2g} % of the full scale",
+            "check the matrix, signs and inputs in the trial's testbed.yaml, and where the wrench"
+            " comes from",
+        )
 
 
 def check_reports(bag: BagReader, stamps: IntArray) -> list[DataFinding]:
@@ -282,6 +316,27 @@ def _noisy_inputs(measured: Measurements) -> Iterator[DataFinding]:
             )
 
 
+def _same_inputs(measured: Measurements) -> Iterator[DataFinding]:
+    """Inputs that read the same as another one, of their cluster or of an earlier one."""
+    names = [(name, channel) for name in measured.clusters for channel in range(4)]
+    columns = measured.capacitance.reshape(len(measured.stamps), -1).T
+    found: dict[tuple[str, str], list[int]] = {}
+    for (one, (name, channel)), (other, (its, _)) in combinations(enumerate(names), 2):
+        known = np.isfinite(columns[[one, other]]).all(axis=0)
+        own = columns[one][known]
+        if len(own) < LEAST_CHECKED or not np.ptp(own):  # standing still is reported elsewhere
+            continue
+        if np.mean(own == columns[other][known]) > MAX_SAME:
+            found.setdefault((its, name), []).append(channel)
+    for (name, its), channels in found.items():
+        inputs = "an input reads" if len(channels) == 1 else f"{len(channels)} inputs read"
+        yield DataFinding(
+            name,
+            f"{inputs} the same as {'another one' if its == name else f'those of {its}'}",
+            "check the multiplexer and the wires: two names read one sensor",
+        )
+
+
 def _stopped_bridges(measured: Measurements) -> Iterator[DataFinding]:
     """Bridges of the load cell that stand still."""
     for bridge, ratios in enumerate(measured.ratios.T, start=1):
@@ -338,9 +393,6 @@ def _repetitions(measured: Measurements) -> Iterator[DataFinding]:
                 f"{100.0 * share:.0f} % of its readings repeat the one before",
                 "its source is slower than the trigger or sends old values: check its rate",
             )
-
-
-_RULES = (_stopped_clusters, _noisy_inputs, _stopped_bridges, _stopped_bodies, _repetitions)
 
 
 def _still_for(measured: Measurements, values: FloatArray) -> float:

@@ -55,6 +55,20 @@ def read_load_cell(path: Path) -> LoadCellSettings:
     return settings
 
 
+def wrench_mismatch(measured: Measurements, bridges: Bridges) -> FloatArray:
+    """How far the recorded wrenches are from what the ratios and the tares say.
+
+    Args:
+        measured: The measurements as recorded, with their N ratios [mV/V] and tares [N m, N].
+        bridges: The bridges by the settings stored with the trial.
+
+    Returns:
+        Sizes relative to the full scale of each channel, shape (N, 6) [-].
+    """
+    off = bridges.wrenches(measured.ratios) - measured.tares - measured.wrench
+    return np.asarray(np.abs(off) / bridges.full_scale)
+
+
 def remake_wrenches(
     measured: Measurements,
     recorded: LoadCellSettings,
@@ -97,8 +111,7 @@ def remake_wrenches(
             )
         if recorded.matrix:
             old = Bridges(recorded)
-            off = np.nan_to_num(np.abs(old.wrenches(ratios) - wrenches))
-            if (off > _WRENCH_TOLERANCE * old.full_scale).any():
+            if (np.nan_to_num(wrench_mismatch(measured, old)) > _WRENCH_TOLERANCE).any():
                 raise TrialError(
                     f"{where}: its testbed.yaml's load cell does not match the recorded wrenches",
                     "remove load_cell_node from that file: the ratios are then used as they are",

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from socket_testbed.errors import TrialError
@@ -41,6 +42,7 @@ class SqliteFile:
         first_known: The same as `start_time`.
         message_count: Number of messages.
         connections: The topics, as rosbags lists them.
+        definitions: Definitions of the message types (ros2msg), by name; ROS 2 Humble writes none.
 
     Raises:
         TrialError: If the file is damaged, truncated or no recording.
@@ -65,6 +67,11 @@ class SqliteFile:
             self._open(stack, salvaged)
             self.lacks, self.ended = True, False
         self.connections: list[Any] = list(self._reader.connections)
+        self.definitions = {
+            connection.msgtype: connection.msgdef.data
+            for connection in self.connections
+            if connection.msgdef.format == MessageDefinitionFormat.MSG
+        }
         self.message_count = self._reader.message_count
         self.start_time = self.first_known = self._first
         self.end_time = self._last + 1 if self.message_count else 0

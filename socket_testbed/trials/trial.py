@@ -326,7 +326,11 @@ class Trial:
             cell = reprocess.read_load_cell(self.load_cell_file)
         judged = replace(recorded, wrench=remade.wrench)
         readings = raw_check.check_readings(judged, self.geometry, cell)
-        self._kept.raw = (*readings, *turned, *reports)
+        of_cell = any(each.source == "the load cell" for each in readings)
+        others = (
+            [] if of_cell else [*raw_check.check_wrench(recorded, self._parameters.load_cell_node)]
+        )
+        self._kept.raw = (*readings, *others, *turned, *reports)
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
         if self._kept.samples is None:
             self._kept.samples = samples

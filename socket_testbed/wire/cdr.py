@@ -5,14 +5,16 @@ offset. A `Layout` is derived from one such message; it then reads many of them 
 building message objects. A message has the layout if all bytes that are neither numbers nor
 padding equal those of the first message.
 
-The types are those of the rosbags library and of this testbed. The encoding is plain CDR, big or
-little endian (OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from the end
-of the four-byte encapsulation header.
+The types are those of the rosbags library and of this testbed; any other needs its definition, the
+text of its `.msg` file and of those that it names. The encoding is plain CDR, big or little endian
+(OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from the end of the
+four-byte encapsulation header.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import compress
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -50,17 +52,86 @@ def typestore() -> Typestore:
     return store
 
 
-def decode(raw: bytes | memoryview, message_type: str) -> Any:
+@cache
+def types_of(message_type: str, definition: str = "") -> Typestore:
+    """The types that a message consists of.
+
+    Args:
+        message_type: Its type, as `package/msg/Type`.
+        definition: Its definition, for a type that `typestore` does not hold.
+
+    Raises:
+        ValueError: If such a type has no definition, or one that cannot be read.
+    """
+    known = typestore()
+    if message_type in known.fielddefs:
+        return known
+    if not definition:
+        raise ValueError(f"the definition of {message_type} is not known")
+    store = Typestore()
+    store.fielddefs |= known.fielddefs
+    store.types |= known.types
+    try:
+        store.register(get_types_from_msg(definition, message_type))
+        store.get_msgdef(message_type)
+    except Exception:  # the library may raise any exception
+        raise ValueError(f"the definition of {message_type} cannot be read") from None
+    return store
+
+
+_NAMES_IN_CLASSES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
+_ARRAY = re.compile(
+    r"(?:sequence<(?P<many>.+?)(?:, (?P<most>\d+))?>|(?P<some>.+)\[(?P<count>\d+)\])"
+)
+
+
+def define(message_type: str, class_of: Callable[[str], Any]) -> str:
+    """The definition of a message type that ROS has as classes.
+
+    Args:
+        message_type: The type, as `package/msg/Type`.
+        class_of: Returns the class of a type, which states its fields as those of rosidl do.
+
+    Returns:
+        The definition with all types that it names; empty for a type that `typestore` holds.
+    """
+    known, left = {*typestore().fielddefs}, [message_type]
+    text = ""
+    for name in left:  # which grows
+        if name in known:
+            continue
+        known.add(name)
+        if text:
+            text += f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n"
+        for field, described in class_of(name).get_fields_and_field_types().items():
+            kind = _as_written(described)
+            text += f"{kind} {field}\n"
+            package, slash, nested = kind.partition("[")[0].partition("/")
+            if slash:
+                left.append(f"{package}/msg/{nested}")
+    return text
+
+
+def _as_written(described: str) -> str:
+    """A field's type as in a `.msg` file, such as `float64[3]` of a class's `double[3]`."""
+    if found := _ARRAY.fullmatch(described):
+        most = f"<={found['most']}" if found["most"] else ""
+        return f"{_as_written(found['many'] or found['some'])}[{found['count'] or most}]"
+    return _NAMES_IN_CLASSES.get(described, described.replace("string<", "string<=").rstrip(">"))
+
+
+def decode(raw: bytes | memoryview, message_type: str, definition: str = "") -> Any:
     """Deserialise a message.
 
     Args:
         raw: The message, serialised (CDR).
         message_type: Its type, as `package/msg/Type`.
+        definition: Its definition, see `types_of`.
 
     Returns:
         The message as an object of rosbags, with the fields of its type as attributes.
     """
-    return typestore().deserialize_cdr(raw, message_type)
+    return types_of(message_type, definition).deserialize_cdr(raw, message_type)
 
 
 def encode(message: Any, message_type: str) -> bytes:
@@ -101,10 +172,19 @@ class Field(NamedTuple):
     number: int | None = None
 
 
+def fields_of(message_type: str, definition: str = "") -> tuple[Field, ...]:
+    """The fields of a message type.
+
+    Args:
+        message_type: The type, as `package/msg/Type`.
+        definition: Its definition, see `types_of`.
+    """
+    return _fields(message_type, types_of(message_type, definition))
+
+
 @cache
-def fields_of(message_type: str) -> tuple[Field, ...]:
-    """The fields of a message type, given as `package/msg/Type`."""
-    return tuple(_field(*field) for field in typestore().get_msgdef(message_type).fields)
+def _fields(message_type: str, types: Typestore) -> tuple[Field, ...]:
+    return tuple(_field(*field) for field in types.get_msgdef(message_type).fields)
 
 
 def _field(name: str, described: Any, number: int | None = None) -> Field:
@@ -155,6 +235,7 @@ class Layout:
     Args:
         sample: A message, serialised (CDR), from which the layout is derived.
         message_type: Its type, as `package/msg/Type`.
+        definition: Its definition, see `types_of`.
 
     Attributes:
         dtype: The numbers by field name; its item size is the length of the message [bytes].
@@ -163,8 +244,8 @@ class Layout:
         ValueError: If the bytes are not such a message.
     """
 
-    def __init__(self, sample: bytes | bytearray, message_type: str) -> None:
-        walk = _Walk(bytes(sample))
+    def __init__(self, sample: bytes | bytearray, message_type: str, definition: str = "") -> None:
+        walk = _Walk(bytes(sample), types_of(message_type, definition))
         self.dtype = walk.message(message_type)
         self._size = len(sample)
         self._fixed = np.flatnonzero(walk.fixed)
@@ -240,7 +321,8 @@ _Placed: TypeAlias = tuple[int, np.dtype[Any]] | None
 class _Walk:
     """Parses a message once; `fixed` marks the bytes that are neither numbers nor padding."""
 
-    def __init__(self, content: bytes) -> None:
+    def __init__(self, content: bytes, types: Typestore) -> None:
+        self._types = types
         if content[:2] not in (b"\0\0", b"\0\1"):
             raise ValueError("the message is not plain CDR")
         self._order: Literal["<", ">"] = "<" if content[1] else ">"
@@ -257,7 +339,7 @@ class _Walk:
         return placed[1]
 
     def _message(self, name: str) -> _Placed:
-        return self._group({field.name: self._field(field) for field in fields_of(name)})
+        return self._group({field.name: self._field(field) for field in _fields(name, self._types)})
 
     def _field(self, field: Field) -> _Placed:
         if field.number is None:
@@ -282,7 +364,7 @@ class _Walk:
                 raise ValueError("a string has no end")
             self.fixed[self._position - length : self._position] = True
             return None
-        fields = fields_of(name)
+        fields = _fields(name, self._types)
         kinds = {field.type for field in fields}
         single = all(field.number is None for field in fields)
         if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBER_TYPES.keys():

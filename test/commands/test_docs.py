@@ -130,13 +130,15 @@ NUMBERS = {
         f"below {data_check.LOAD_RANGE[0]:g} or above {data_check.LOAD_RANGE[1]:g} body weights",
         f"a lag above {data_check.MAX_LAG} s",
         f"a lag above {data_check.MAX_POSE_LAG} s",
-        f"a single cluster, above {data_check.MAX_CLUSTER_LAG} s",
+        f"behind load and pose at a lag above {data_check.MAX_CLUSTER_LAG} s",
         f"correlate by {data_check.MIN_AXES_GAIN} more in other axes",
         f"an input with {raw_check.NOISE_RATIO:g} times the noise",
         f"{raw_check.MAX_REPEATED:.0%} of the readings of a source repeat",
         f"{1e3 * data_check.POSE_JUMPS[0]:g} mm or {data_check.POSE_JUMPS[1]} rad",
         f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
-        f"normal force {data_check.MAX_INNOVATION} sigma off",
+        f"mean pressure {data_check.INNOVATIONS[1]} sigma above or {-data_check.INNOVATIONS[0]}"
+        " below",
+        f"{1e-3 * data_check.LOCAL_VARIATION:g} kPa for a single tile's own",
         f"{data_check.MAX_MISSING:.0%} missing, no change for {data_check.MAX_STILL:g} s,"
         f" {data_check.MAX_CLIPPED:.0%} at one end",
         f"noise above {data_check.MAX_NOISE['N']:g} N or {data_check.MAX_NOISE['N m']:g} N m",

@@ -23,8 +23,8 @@ from support.results_by_hand import tile
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.api.comparison import Comparison
 from socket_testbed.geometry.socket import write_socket
+from socket_testbed.results.comparison import Comparison
 from socket_testbed.trials.trial import Trial
 
 VALUE = ("value", "low", "high")

@@ -11,9 +11,9 @@ from support import scene
 
 import socket_testbed as st
 from socket_testbed.api import comparison
-from socket_testbed.api.comparison import Comparison
 from socket_testbed.api.trials import unique_names
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.results.comparison import Comparison
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.trials.trial import Trial
 

@@ -17,7 +17,7 @@ from support import scene
 from support.pages import Page
 
 import socket_testbed as st
-from socket_testbed.api.comparison import Comparison
+from socket_testbed.results.comparison import Comparison
 from socket_testbed.trials.trial import Trial
 
 

@@ -219,6 +219,26 @@ def test_bodies_are_named_where_names_do_not_tell(tmp_path: Path) -> None:
     np.testing.assert_allclose(measured.pylon, measured.socket)
 
 
+def test_tables_are_imported_like_others(tmp_path: Path) -> None:
+    """Under other names, with the bodies, columns, units and offsets of the first ones."""
+    load = cell(tmp_path / "cell.csv", 3.0)
+    load.write_text(load.read_text().replace("Fx (N)", "Ch1"))
+    files = [load, take(tmp_path / "take.csv", "A", "B")]
+    model, _ = opened(
+        tmp_path, *files, socket_pose="A", pylon_pose="take.csv:B", columns=["Fx=Ch1"],
+        units=["force=N"], offset=["socket_pose=3"], rate=10.0,
+    )  # fmt: skip
+    others = [file.rename(file.with_stem(f"{file.stem}_02")) for file in files]
+    trial = st.import_trial(others, tmp_path / "like", like=model.path, notify=print)
+    np.testing.assert_array_equal(trial.measurements().wrench, model.measurements().wrench)
+    np.testing.assert_array_equal(trial.measurements().pylon, model.measurements().pylon)
+    record = yaml.safe_load((trial.path / "import.yaml").read_text())
+    assert record["mapping"] == {
+        "socket_pose": {"topic": "A", "offset": 3.0}, "pylon_pose": {"topic": "B"},
+        "rate": 10.0, "columns": {"Fx": "Ch1"}, "units": {"force": "N"},
+    }  # fmt: skip
+
+
 def test_markers_are_fitted_to_the_socket(tmp_path: Path) -> None:
     """Markers of socket.yaml, moved by 1 mm in 10 ms without turning."""
     bodies = read_socket(packaged("config", "socket.yaml")).markers

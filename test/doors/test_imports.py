@@ -15,6 +15,7 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import packaged
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial
@@ -430,6 +431,10 @@ def test_the_record_states_how_it_was_made(tmp_path: Path) -> None:
         "window": 0.05, "readings_per_trigger": 5.0, "age": 0.0, "missing": 0.0, "of": "limb",
     }  # fmt: skip
     assert record["notes"] == [f"{CLUSTERS}: has no stamps, so the times of its arrival count"]
+    assert record["mapping"] == {
+        "wrench": {"topic": FT, "delay": 0.02},
+        "clusters": {"topic": CLUSTERS, "names": [*NAMES]}, "rate": 20.0,
+    }  # fmt: skip
 
 
 def test_notes_propose_and_tell_what_is_missing(tmp_path: Path) -> None:
@@ -585,6 +590,77 @@ def test_the_page_s_mapping_is_read(tmp_path: Path) -> None:
     moved = (measured.stamps[row] - START) / STEP
     np.testing.assert_allclose(measured.wrench[row, 5], moved - 10.0, atol=0.01)
     np.testing.assert_allclose(measured.pylon[row, :3], place(moved)[:3], atol=1e-6)
+
+
+def alike(path: Path, model: Trial, content: dict[str, Any], **options: Any) -> Trial:
+    """The trial that another bag becomes like a model."""
+    bag = write_bag(path / "bag_2", content)
+    return st.import_trial(bag, path / "like", like=model.path, notify=print, **options)
+
+
+OPTIONS: dict[str, Any] = {
+    "delay": ["wrench=0.02"], "rate": 20.0, "wrench_of": "socket", "tare": "0.1:0.3",
+    "names": NAMES, "socket_pose": SOCKET, "pylon_pose": "none",
+}  # fmt: skip
+
+
+def test_a_trial_is_imported_like_another(tmp_path: Path) -> None:
+    """All options count again, and so does the socket, whose first tile was moved."""
+    socket = tmp_path / "socket.yaml"
+    document = yaml.safe_load(packaged("config", "socket.yaml").read_text())
+    first = next(iter(document["tiles"].values()))
+    first["anchor"][2] += 0.001
+    socket.write_text(yaml.safe_dump(document))
+    content = {FT: stamped_wrench(late=0.02), SOCKET: stamped_pose(), CLUSTERS: numbers()}
+    model, _ = opened(tmp_path, content, geometry=socket, **OPTIONS)
+    trial = alike(tmp_path, model, {**content, "/other": stamped_wrench(), LIMB: stamped_pose()})
+    first_record, record = (
+        yaml.safe_load((own.path / "import.yaml").read_text()) for own in (model, trial)
+    )
+    assert record["from"] == "bag_2"
+    assert {**record, "from": "bag"} == first_record
+    assert (trial.path / "socket.yaml").read_bytes() == socket.read_bytes()
+    np.testing.assert_array_equal(trial.measurements().wrench, model.measurements().wrench)
+
+
+def test_options_win_over_the_trial_they_follow(tmp_path: Path) -> None:
+    content = {FT: stamped_wrench(), SOCKET: stamped_pose(), "/other": stamped_wrench()}
+    given = {**OPTIONS, "wrench": FT, "delay": ["wrench=0.03"]}
+    model, _ = opened(tmp_path, content, **given)
+    trial = alike(tmp_path, model, content, wrench="/other", rate=5.0, delay=["wrench=0.01"])
+    record = yaml.safe_load((trial.path / "import.yaml").read_text())
+    used = (record["wrench"]["topic"], record["wrench"]["delay"], record["triggers"]["rate"])
+    assert used == ("/other", 0.01, 5.0) and record["wrench"]["of"] == "socket"
+
+
+def test_a_delay_that_was_found_is_used_again(tmp_path: Path) -> None:
+    model, _ = opened(tmp_path, pushed({"wrench": 0.0, "pylon_pose": 0.02}), rate=50.0,
+                      delay=["pylon_pose=auto"])  # fmt: skip
+    found = yaml.safe_load((model.path / "import.yaml").read_text())["pylon_pose"]["delay"]
+    trial = alike(tmp_path, model, {FT: stamped_wrench(), LIMB: stamped_pose()})
+    record = yaml.safe_load((trial.path / "import.yaml").read_text())["pylon_pose"]
+    assert record["delay"] == found and "delay_interval" not in record
+
+
+def test_topics_that_another_bag_lacks_are_named(tmp_path: Path) -> None:
+    content = {FT: stamped_wrench(), SOCKET: stamped_pose(), CLUSTERS: numbers()}
+    options = {**OPTIONS, "trigger": SOCKET}
+    del options["rate"]
+    model, _ = opened(tmp_path, content, **options)
+    words = f"holds no message of {SOCKET} of --socket-pose and {CLUSTERS} of --clusters"
+    with refused(TrialError, f"{words} and {SOCKET} of --trigger: name other topics"):
+        alike(tmp_path, model, {FT: stamped_wrench()})
+
+
+def test_only_an_imported_trial_is_followed(tmp_path: Path) -> None:
+    model, _ = opened(tmp_path, {FT: stamped_wrench()})
+    record = model.path / "import.yaml"
+    with refused(ConfigurationError, "mapping and like are both given"):
+        alike(tmp_path, model, {FT: stamped_wrench()}, mapping=record)
+    for text, words in (("from: bag\n", "states no mapping: import that"), (None, "holds no imp")):
+        record.unlink() if text is None else record.write_text(text)
+        with refused(ConfigurationError, words):
+            st.import_trial(tmp_path / "bag", tmp_path / "like", like=model.path)
 
 
 def test_the_verb_makes_the_same_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from support.pages import Page
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.figures import tiles
+from socket_testbed.figures.fronts import describe_front, pareto_figure
 from socket_testbed.figures.pressure import draw_regions, group_regions
 from socket_testbed.figures.style import (
     COLUMN,
@@ -26,7 +27,6 @@ from socket_testbed.figures.style import (
     wrap,
 )
 from socket_testbed.identification.pressure import Quantity
-from socket_testbed.report import fronts
 from socket_testbed.report.page import ReportFigure, line_chart, write_socket_page
 from socket_testbed.trials.segment import Segment
 
@@ -171,7 +171,7 @@ def test_a_front_names_its_knee(knee: int | None, words: str) -> None:
     front: Any = SimpleNamespace(
         variant="a", theta=np.array([0.0, 0.25, 1.0]), knee=SimpleNamespace(index=knee)
     )
-    assert fronts._describe(front) == words
+    assert describe_front(front) == words
 
 
 def test_axes_of_a_wide_front_have_round_ticks() -> None:
@@ -179,7 +179,7 @@ def test_axes_of_a_wide_front_have_round_ticks() -> None:
     made = results_by_hand.fronts_by_hand()["stiffness"]  # both errors from 0.1 to 1
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
-        (axes,) = fronts.pareto_figure([made], "", DEFAULT_STYLE).axes
+        (axes,) = pareto_figure([made], "", DEFAULT_STYLE).axes
     shown = [tick for tick in axes.get_xticks() if 0.09 < tick < 1.1]
     assert shown == pytest.approx([0.1, 0.2, 0.5, 1.0])
 

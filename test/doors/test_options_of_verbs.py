@@ -309,6 +309,7 @@ FIGURE: Cases = {
     "width": ("--width 88", {"width": 88}, {"figure": "--figure new.pdf"}),
     "title": ("--no-title", {"title": False}, {"figure": "--figure new.pdf"}),
 }
+PRIOR: Cases = {"prior": ("--prior survey.json", {"prior": "survey.json"})}
 THRESHOLD: Cases = {"threshold": ("--threshold 20", {"threshold": 20.0})}
 DESCRIBED: Cases = {
     "subject": ("--subject S02", {"subject": "S02"}),
@@ -360,6 +361,7 @@ CASES: dict[str, Cases] = {
         **FIGURE,
         **THRESHOLD,
         **only(SETTINGS, "segment", "params", "leave_out"),
+        **PRIOR,
         "share": ("--share 0.1", {"share": 0.1}),
         "output": (
             "-o new.csv",
@@ -379,6 +381,7 @@ CASES: dict[str, Cases] = {
         **TRIAL,
         **OPENED,
         **SETTINGS,
+        **PRIOR,
         "output": ("-o b.html", {"outputs": ["b.html"], "page": "b.html"}),
         "replace": ("--replace", {"replaced": True, "replace": True}),
         "width": ("--width 88", {"width": 88}),
@@ -394,6 +397,7 @@ CASES: dict[str, Cases] = {
         **OUTPUT,
         **FIGURE,
         **but(SETTINGS, "thetas", "frames", "initial_stiffness"),
+        **PRIOR,
     },
     "pareto": {
         **TRIAL,
@@ -410,6 +414,7 @@ CASES: dict[str, Cases] = {
         **OPENED,
         **REPLACE,
         **only(SETTINGS, "segment", "params"),
+        **PRIOR,
         **FIGURE,
         "output": ("-o b.csv", {"outputs": ["b.csv"], "saved": "b.csv"}),
         "figure": ("--figure new.pdf", DRAWN | {"outputs": ["new.csv", "new.pdf"]}),
@@ -422,6 +427,7 @@ CASES: dict[str, Cases] = {
         **OUTPUT,
         **THRESHOLD,
         **only(SETTINGS, "segment", "params"),
+        **PRIOR,
         "by_region": ("--by-region", {"by_region": True}),
         "condition": (
             {"trial": "", "condition": "--condition gel=scene --condition sock=second"},
@@ -486,6 +492,7 @@ CASES: dict[str, Cases] = {
         **OPENED,
         **REPLACE,
         **only(SETTINGS, "segment"),
+        **PRIOR,
         "output": ("-o b.csv", {"outputs": ["b.csv"], "path": "b.csv"}),
         "map": ("--map", {"force_map": True}),
         "model": ("--model model.json", {"model": "model.json"}),
@@ -580,7 +587,9 @@ BATCH: Cases = {
     "again": ("--again", {"again": True}),
 }
 ALONE = {"trial", "output", "json", "figure", "replace"}  # options without meaning in a folder
-NO_SETTINGS = {*SOURCES, "params", "model"} - {"tare"}  # files, which are known by their contents
+NO_SETTINGS = {*SOURCES, "params", "model", "prior"} - {
+    "tare"
+}  # files, which are known by their contents
 
 # What an option changes in a folder, where it is not the same as alone.
 IN_BATCH: dict[tuple[str, str], dict[str, Any]] = {

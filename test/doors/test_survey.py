@@ -6,6 +6,7 @@ says 5 kPa. The map of `b` says 3 kPa where `a` measured 4; the rival says 4 kPa
 """
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +14,12 @@ import numpy as np
 import pytest
 from support import scene
 from support.pages import Page
+from support.surveys import prior_by_hand
 
 import socket_testbed as st
-from socket_testbed.api.survey import Survey
 from socket_testbed.commands.pages import _show_survey
 from socket_testbed.identification.survey import Field, Interval, JudgedPoint, Judgements
+from socket_testbed.results.survey import Survey
 
 STATES = 2
 UP = np.tile([0.0, 0.0, 1.0], (STATES, 1))
@@ -78,6 +80,7 @@ def found() -> Survey:
         single=(field(8.0, 2.0), field(6.0, 3.0)),
         completed=(field(7.5, 1.0), field(7.0, 1.5)),
         limb=field(7.25, 1.25),
+        learnt=prior_by_hand(scene.geometry()),
         next_tiles=("left_mid", "right_end"),
         next_error=0.92,
         side="right",
@@ -99,6 +102,10 @@ CONCLUSIONS = [
     " by 8 %",
     "2 like loads, which differ by 1.2 % of the force between trials",
 ]
+
+
+def test_a_survey_is_pickled(found: Survey) -> None:
+    assert pickle.loads(pickle.dumps(found)).document() == found.document()
 
 
 def test_the_verdict_comes_in_a_sentence(found: Survey) -> None:

@@ -132,6 +132,15 @@ def test_a_finding_hides_no_unrelated_one(opened) -> None:
     assert [source for source, _ in found(replace(hold, wrench=-hold.wrench))] == ["the wrench"]
 
 
+def test_a_tare_under_load_is_named(opened) -> None:
+    """With the mass on, 278 N, the load cell was tared: without it, it reads 187 N of pull."""
+    trial = opened["static_hold"]
+    samples = trial.samples()
+    tared = replace(samples, wrench=samples.wrench - samples.wrench[len(samples) // 2])
+    found = check_data(tared, trial.geometry)[0]
+    assert found.source == "the wrench" and found.fact.startswith("it pulls at the socket with 18")
+
+
 @pytest.mark.parametrize(
     ("mass", "text"),
     [

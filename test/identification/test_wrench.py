@@ -25,9 +25,8 @@ def along_x(*values):
 
 def trail_of(stamps, motions):
     """Features of the first component of each motion, shape (N, 4)."""
-    trail = wrench.PoseTrail(np.ones(6))
-    pairs = zip(stamps, motions, strict=True)
-    return np.array([trail.add(round(at * SECOND), motion)[X] for at, motion in pairs])
+    times = np.round(np.asarray(stamps) * SECOND).astype(np.int64)
+    return wrench.PoseTrail(np.ones(6)).add(times, motions)[:, X]
 
 
 def test_a_trail_has_plays_and_a_mean():
@@ -58,6 +57,16 @@ def test_memory_ends_at_a_break(last, forgets):
 def test_a_late_sample_keeps_the_memory():
     found = trail_of([0, 1, 2, 3, 2.5, 4], along_x(0.0, 2.0, 4.0, 4.0, 4.0, 4.0))
     assert found[-1, 3] > 0.5  # less than its mean would be 0 without a past
+
+
+def test_samples_may_come_one_by_one(rng):
+    """With a break, a late sample and two at the same time."""
+    times = np.array([0, 1, 2, 3, 2.5, 4, 4, 30, 31]) * SECOND
+    motions, scale = rng.normal(size=(9, 6)), np.array([1.0, 2.0, 0.5, 1.0, 1.0, np.inf])
+    at_once = wrench.PoseTrail(scale).add(times.astype(np.int64), motions)
+    trail, parts = wrench.PoseTrail(scale), np.split(np.arange(9), [1, 2, 2, 5])
+    found = [trail.add(times[part].astype(np.int64), motions[part]) for part in parts]
+    np.testing.assert_array_equal(np.vstack(found), at_once)
 
 
 def memory_of(support, left, **changes):

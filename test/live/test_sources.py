@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support.foreign import header, pose_fields, vector, wrench_fields
+from support.rigid_bodies import Body
+from support.rigid_bodies import message as bodies_message
 from support.wording import refused
 
 from socket_testbed.alignment.align import Aligned, align
@@ -15,6 +17,8 @@ from socket_testbed.alignment.source_clock import RunningClock
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import packaged
+from socket_testbed.live.bringup import Testbed
+from socket_testbed.live.doctor import HeardSource, Outcome, judge_sources
 from socket_testbed.live.sources import (
     StreamedSource,
     TriggerStream,
@@ -25,7 +29,7 @@ from socket_testbed.live.sources import (
     foreign_topics,
     wrench_mapping,
 )
-from socket_testbed.settings.acquisition import TareSettings
+from socket_testbed.settings.acquisition import TareSettings, TriggerSettings
 from socket_testbed.settings.alignment import (
     AlignSettings,
     LiveClusterSettings,
@@ -33,6 +37,7 @@ from socket_testbed.settings.alignment import (
     LiveWrenchSettings,
     SourceSettings,
 )
+from socket_testbed.settings.testbed import TestbedSettings
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.imported import in_load_cell
@@ -42,6 +47,7 @@ OK, WARN, ERROR = 0, 1, 2
 START, SECOND = 1_700_000_000_000_000_000, 1_000_000_000  # [ns]
 NAMES = ("brim_lateral", "distal")
 PERIOD = 0.25  # [s]; of the trigger
+LOST = [0.0] * 7  # pose of a body that is not tracked
 
 Fields = dict[str, Any]
 
@@ -228,6 +234,49 @@ def test_other_transforms_are_no_sign_of_life() -> None:
     assert level == ERROR and text.startswith("socket pose: nothing arrives on tf:world/rig: ")
 
 
+def of_a_body() -> StreamedSource:
+    return StreamedSource("socket_pose", LiveSourceSettings(topic="/rigid_bodies:rig"))
+
+
+def test_a_body_is_found_while_its_markers_change() -> None:
+    source, times = of_a_body(), every(100.0, 2.0)
+    for row, time in enumerate(times):
+        body = Body("rig", [1e-4 * row, 0.2, 0.3, 0.0, 0.0, 0.6, 0.8], row % 4)
+        source.receive([bodies_message("present", time, [Body("table", LOST), body])])
+    source.trigger(times[100])
+    ((_, value),) = source.due(times[-1], PERIOD, 0.3)
+    assert value is not None and value.values[0, :3].tolist() == pytest.approx([0.01, 0.2, 0.3])
+    assert source.health(times[-1]) == (OK, "socket pose at 100 Hz") and source.frame == "map"
+
+
+LACKING = {
+    "another": (
+        [Body("table", LOST)],
+        "socket pose: /rigid_bodies: no body is called rig (there are: table): name one of them",
+    ),
+    "lost": (
+        [Body("rig", LOST)],
+        "socket pose: /rigid_bodies: the body rig is not tracked: bring its markers into view",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LACKING)
+def test_a_body_that_is_not_there_is_named(case: str) -> None:
+    """At once without any reading of it, and after a second of silence."""
+    sent, words = LACKING[case]
+    source = of_a_body()
+    source.receive([bodies_message("first", START, sent)])
+    level, text = source.health(START)
+    assert level == ERROR and text.startswith(words)
+    source.receive([bodies_message("first", START, [Body("rig", [1.0, *LOST[1:6], 1.0])])])
+    assert source.health(START) == (OK, "socket pose heard")
+    source.receive([bodies_message("first", START + SECOND, sent)])
+    assert source.health(START + SECOND)[0] == OK
+    level, text = source.health(START + SECOND + 1)
+    assert level == ERROR and text.startswith(words)
+
+
 @pytest.mark.parametrize(
     ("settings", "period", "span"),
     [
@@ -398,6 +447,64 @@ def test_triggers_without_stamps_count_as_they_arrive() -> None:
     assert TriggerStream("/x").receive(messages("numbers", times, arrivals)) == arrivals
 
 
+def triggers_of(kind: str, hertz: float, late: int = 1_000_000) -> HeardSource:
+    """Two seconds of triggers that arrive late [ns], heard until 4 ms after the last one."""
+    stream, times = TriggerStream("/sync"), every(hertz, 2.0)
+    stream.receive(messages(kind, times, [time + late for time in times]))
+    return HeardSource(stream, SOURCES[kind][1], ended=times[-1] + 4_000_000)
+
+
+def judged(*heard: HeardSource) -> list[Outcome]:
+    """What doctor says of sources whose trigger is set to 20 Hz, in vain if others trigger."""
+    trigger = TriggerSettings(source="topic", topic="/sync", rate=20.0)
+    return judge_sources(Testbed(replace(TestbedSettings(), trigger_node=trigger)), heard)
+
+
+TRIGGERING = {
+    "stamped": (
+        triggers_of("wrench", 4.0),
+        ("/sync: geometry_msgs/msg/WrenchStamped, 4 Hz, 1.0 ms from stamp to arrival, newest 4 ms"
+         " old", ""),
+    ),
+    "unstamped": (
+        triggers_of("numbers", 4.0),
+        ("/sync: std_msgs/msg/Float64MultiArray, 4 Hz, without stamps: the times of arrival count",
+         ""),
+    ),
+    "another clock": (
+        triggers_of("wrench", 4.0, 3 * SECOND),
+        ("the clock of /sync is not this machine's",
+         "its stamps are corrected by their arrival; synchronise the clocks"),
+    ),
+    "silent": (
+        HeardSource(TriggerStream("/sync"), ended=START),
+        ("no message on /sync, each of which is a trigger",
+         "start its program, or check the topic's name and the ROS_DOMAIN_ID"),
+    ),
+    "of another type": (
+        HeardSource(TriggerStream("/sync"), wrong="/sync is a std_msgs/msg/String: name a topic"),
+        ("/sync is a std_msgs/msg/String", "name a topic"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TRIGGERING)
+def test_doctor_judges_the_triggers_of_another_program(case: str) -> None:
+    heard, (found, hint) = TRIGGERING[case]
+    assert judged(heard) == [Outcome("trigger", found, hint)]
+
+
+@pytest.mark.parametrize(("hertz", "hint"), [(4.0, ""), (200.0, "raise its rate above the trigg")])
+def test_sources_are_judged_by_the_triggers_heard(hertz: float, hint: str) -> None:
+    """A wrench at 10 Hz suits triggers at 4 Hz, not at 200 Hz."""
+    source, times = source_of("wrench"), every(10.0, 2.0)
+    source.receive(messages("wrench", times, times))
+    _, outcome = judged(
+        triggers_of("wrench", hertz), HeardSource(source, SOURCES["wrench"][1], ended=times[-1])
+    )
+    assert outcome.hint.startswith(hint) and bool(outcome.hint) == bool(hint)
+
+
 # --- settings
 
 
@@ -423,6 +530,10 @@ WRONG: dict[str, tuple[Fields, str]] = {
     "no name": (
         {"wrench": LiveWrenchSettings(topic="/ft sensor")},
         "align_node: wrench.topic is '/ft sensor', which is no name of a topic: give one such",
+    ),
+    "a body": (
+        {"wrench": LiveWrenchSettings(topic="/ft:rig")},
+        "align_node: wrench.topic is '/ft:rig', which is no name of a topic: give one such",
     ),
     "our own": (
         {"wrench": LiveWrenchSettings(topic="load_cell/wrench")},
@@ -462,6 +573,15 @@ def test_topics_to_record_are_those_of_other_drivers() -> None:
     check_sources(settings)
     assert foreign_topics(settings) == ("/ft", "/tf")
     assert absent_topics(settings) == (topics.PYLON_POSE,)
+
+
+def test_two_bodies_share_a_recorded_topic() -> None:
+    settings = AlignSettings(
+        socket_pose=LiveSourceSettings(topic="rigid_bodies:socket"),
+        pylon_pose=LiveSourceSettings(topic="rigid_bodies:limb"),
+    )
+    check_sources(settings)
+    assert foreign_topics(settings, "/sync") == ("rigid_bodies", "/sync")
 
 
 def test_a_wrench_is_turned_into_the_load_cell_s_frame() -> None:

@@ -157,17 +157,20 @@ def test_a_fit_reads_the_trial(lab: Lab, tmp_path: Path) -> None:
 
 
 def test_doctor_hears_each_source(bag: Path) -> None:
-    """A microcontroller is silent, and a wrench slower than the trigger."""
+    """Capacitances trigger, by their arrival, and a microcontroller is silent."""
     settings = replace(
         TestbedSettings(),
-        trigger_node=TriggerSettings(source="timer", rate=200.0),
+        trigger_node=TriggerSettings(source="topic", topic=CAPACITANCES),
         align_node=replace(ALIGN, clusters=LiveClusterSettings(topic="/nobody")),
     )
     with Probe() as probe, Player(probe, bag):
-        heard = hear_sources(settings.align_node, settings.cluster_names)
-    wrench, socket, _, clusters = judge_sources(bringup.Testbed(settings), heard)
+        heard = hear_sources(settings.align_node, CAPACITANCES, settings.cluster_names)
+    trigger, wrench, socket, _, clusters = judge_sources(bringup.Testbed(settings), heard)
+    assert trigger.what == "trigger" and not trigger.hint
+    assert trigger.found.startswith(f"{CAPACITANCES}: std_msgs/msg/Float64MultiArray, ")
+    assert trigger.found.endswith(" Hz, without stamps: the times of arrival count")
     assert wrench.found.startswith(f"{WRENCH}: geometry_msgs/msg/WrenchStamped, ")
     assert "frame ft_sensor, taken as {S}" in wrench.found and not wrench.hint
-    assert socket.hint == "raise its rate above the trigger's 200 Hz, or lower the trigger's"
+    assert " ms from stamp to arrival, newest " in socket.found and not socket.hint
     assert clusters.found == "nothing arrives on /nobody"
     assert clusters.hint.startswith("start its driver")

@@ -248,9 +248,9 @@ def test_nodes_are_all_in_the_table() -> None:
 
 
 def test_variants_and_weights_have_their_names() -> None:
-    assert identification.VARIANTS == ("stiffness", "stiffness_bias", "rigid", "rigid_bias")
+    assert identification.VARIANTS == ["stiffness", "stiffness_bias", "rigid", "rigid_bias"]
     assert identification.PAPER_VARIANTS == ("stiffness", "stiffness_bias")
-    assert identification.BIAS_VARIANTS == ("stiffness_bias", "rigid_bias")
+    assert identification.BIAS_VARIANTS == ["stiffness_bias", "rigid_bias"]
     assert identification.MIN_SHARE == 0.2
     assert (acquisition.MAX_TARE, acquisition.MAX_STALE, acquisition.READY_TIMEOUT) == (60, 1, 60)
 

@@ -16,7 +16,7 @@ from support import meshes, scene, takes
 
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.regions import SocketAxis, socket_axis
+from socket_testbed.geometry.regions import SocketAxis, socket_axis, tiles_named
 from socket_testbed.socket_design import clusters, design, interior, motive, registration, scan_file
 from socket_testbed.socket_design.clusters import ClusterPlace, ClusterPlacement
 from socket_testbed.socket_design.squares import (
@@ -68,7 +68,7 @@ POINTS = {
         " its +x axis, and a third one towards +y",
     ),
     "region": (
-        lambda: design.tiles_named("antreior", {"anterior": np.array([0])}),
+        lambda: tiles_named("antreior", {"anterior": np.array([0])}),
         "--keep-out: there is no region or tile 'antreior': did you mean 'anterior'?",
     ),
 }

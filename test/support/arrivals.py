@@ -18,6 +18,7 @@ from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.segment import Segment, select_segment
 from socket_testbed.trials.trial import Trial
 from support import scene
+from support.surveys import prior_by_hand, write_survey_file
 
 PARAMETERS = """
 estimator_node:
@@ -142,9 +143,10 @@ def options_of(function: Callable[..., Any], choices: tuple[str, ...] = ()) -> s
 
 
 def write_files(folder: Path) -> None:
-    """Files that options name: models of the trials `another` and `other`, and settings."""
+    """Files that options name: models of the trials `another` and `other`, a survey, settings."""
     scene.model(folder / "model.json")
     scene.model(folder / "other.json", "other")
+    write_survey_file(folder / "survey.json", prior_by_hand(scene.geometry()))
     (folder / "params.yaml").write_text(PARAMETERS)
     (folder / "without.yaml").write_text(WITHOUT)
 

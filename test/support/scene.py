@@ -219,7 +219,7 @@ def write(folder: Path, side: str = "right", subject: str = "S01", second: bool 
 class HandMap:
     """Stands for `ForceMap`: the forces of the scene, with errors that all tiles share."""
 
-    def __init__(self, socket, clusters, settings=None, trial=None) -> None:
+    def __init__(self, socket, clusters, settings=None, trial=None, surveyed=None) -> None:
         self._areas = socket.areas
         self._rotations = socket.rotations
         self._errors = (

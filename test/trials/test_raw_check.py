@@ -146,6 +146,16 @@ DAMAGED: dict[str, tuple[Damage, str, str]] = {
         "distal",
         "the noise of its input 1 is 0.",
     ),
+    "same-cluster": (
+        lambda trial: of_cluster("distal", lambda _: trial.capacitance["mid_anterior"])(trial),
+        "distal",
+        "4 inputs read the same as those of mid_anterior",
+    ),
+    "same-input": (
+        of_cluster("distal", lambda read: read[:, [0, 0, 2, 3]]),
+        "distal",
+        "an input reads the same as another one",
+    ),
     "no-message": (
         without("distal"),
         "distal",
@@ -222,6 +232,16 @@ def test_the_capacity_is_that_of_the_cell(simulated, tmp_path: Path) -> None:
     (found,) = Trial(tmp_path / "trial").problems()
     assert found.fact == "Fz is above 270 % of its full scale of 100 N"
     assert "full_scale in testbed.yaml" in found.hint
+
+
+def test_a_wrench_unlike_its_ratios_is_named(simulated, tmp_path: Path) -> None:
+    """Another gain of bridge 3 in the trial's testbed.yaml than while it was recorded."""
+    write_simulated_trial(simulated, tmp_path / "trial")
+    stored = tmp_path / "trial" / "testbed.yaml"
+    stored.write_text(stored.read_text().replace("1630.0", "1300.0"))
+    (found,) = Trial(tmp_path / "trial").problems()
+    assert found.source == "the load cell"
+    assert found.fact.startswith("100 % of the wrenches are not what its ratios and its matrix say")
 
 
 # --- what the nodes reported

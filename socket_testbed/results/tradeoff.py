@@ -1,0 +1,139 @@
+"""The trade-off over theta, and the paper's figures beside those of a trial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from socket_testbed.identification.paper import THEIRS
+from socket_testbed.identification.pareto import Front, front_document, front_table
+from socket_testbed.results.result import Result, origin, records
+from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from socket_testbed.figures.style import FigureStyle
+
+
+@dataclass(frozen=True, repr=False)
+class Tradeoff(Result):
+    """The trade-off between the wrench and the clusters on a segment of a trial.
+
+    Attributes:
+        trial: The trial.
+        segment: The part that was fitted; with `frames` only its first samples. Its `start` and
+            `end` [s] count from the first sample of the trial, `rows` is a slice of its samples.
+        fronts: The solutions along theta of the paper's variants, `stiffness` and
+            `stiffness_bias`. Each has `theta`, the weight of the wrench against the clusters
+            (0: clusters only, 1: wrench only), and the normalised errors of both, shape (T,) [-],
+            1 if zero is predicted; and `knee`.
+    """
+
+    trial: Trial
+    segment: Segment
+    fronts: dict[Variant, Front]
+
+    def __repr__(self) -> str:
+        fronts = "; ".join(map(repr, self.fronts.values()))
+        return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A row per solution, the thetas of one variant after those of the other; no named index.
+
+        Columns:
+
+        - `variant`, `theta [-]`: contact law, and weight of the wrench against the clusters;
+        - `wrench error [-]`, `local error [-]`: errors of both groups on the objective's scale, 1
+          if zero is predicted with weights by size;
+        - `non-dominated`: 1 on the front, 0 off it;
+        - `mark`: `sensor-only`, `knee` or `wrench-only` for the notable solutions, or empty;
+        - `mean moment RMSE [N m]`, `mean force RMSE [N]`, `median local RMSE [N]`: the paper's
+          figures over the channels in the objective;
+        - `KKT residual or gap [-]`: largest of both stages, scaled;
+        - `flaw`: why the solution must not be used, or empty;
+        - `RMSE Mx [N m]`, `RMSE distal.Fz [N]`, ...: of each channel in the objective.
+
+        Errors are NaN where a stage has no certified solution.
+        """
+        return front_table(self.fronts.values())
+
+    def document(self) -> dict[str, Any]:
+        """The fronts for JSON.
+
+        Returns:
+            `trial`, `segment` (`kind`, `start` and `end` [s]), and `fronts`, each with its
+            `variant`, `knee`, `marks` and `solutions`.
+        """
+        fronts = [front_document(front) for front in self.fronts.values()]
+        return origin(self.trial, self.segment) | {"fronts": fronts}
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        from socket_testbed.figures.fronts import pareto_figure
+
+        heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
+        return pareto_figure([*self.fronts.values()], heading, style)
+
+
+@dataclass(frozen=True, repr=False)
+class PaperTable(Result):
+    """The paper's figures recomputed for a trial, next to the published ones.
+
+    Attributes:
+        trial: The trial.
+        segment: The part that was fitted: the first `frames` samples of the chosen one. Its `start`
+            and `end` [s] count from the first sample of the trial, `rows` is a slice of its
+            samples.
+        samples: Number of samples in the objective: those with a limb pose and every wrench channel
+            that is not left out, outliers not counted.
+        settings: The settings of the fit with offsets; the other fit differs in the variant.
+        table: The figures, see `to_dataframe`.
+    """
+
+    trial: Trial
+    segment: Segment
+    samples: int
+    settings: IdentificationSettings
+    table: pd.DataFrame
+
+    def __repr__(self) -> str:
+        return f"PaperTable({self.trial.name}, {self.segment}; {len(self.table)} figures)"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A row per figure, indexed by `figure`: its name and unit, such as `RMSE of Mx [N m]`.
+
+        The figures are the paper's mean and median RMSE, the RMSE of every channel, the standard
+        deviation `sigma` of the residual of every wrench channel, and the thetas of the marks of
+        the fronts, such as `theta, knee [-]`; then the conditions and settings that the paper
+        prints, such as `load [N]`.
+
+        Columns, in two levels: `this trial` and `the paper`, each `without offsets` and
+        `with offsets` (the variants `stiffness` and `stiffness_bias`), in the unit of the row; and
+        a `remark` (below an empty first level): why the two are not comparable, or that the paper
+        does not print the number. NaN for a number that is not known. `save` writes one level, with
+        titles such as `with offsets` and `paper: with offsets`.
+        """
+        return self.table.copy()
+
+    def document(self) -> dict[str, Any]:
+        """The figures for JSON, with the settings used.
+
+        Returns:
+            `trial`, `segment` (`kind`, `start` and `end` [s]), the number of `samples`, `settings`,
+            and `figures` by name and unit, with columns as `save` writes them.
+        """
+        table = self._saved_table()
+        return {
+            **origin(self.trial, self.segment),
+            "samples": self.samples,
+            "settings": self.settings.to_flat(),
+            "figures": dict(zip(table.index, records(table), strict=True)),
+        }
+
+    def _saved_table(self) -> pd.DataFrame:
+        titles = [f"paper: {title}" if group == THEIRS else title for group, title in self.table]
+        return self.table.set_axis(titles, axis=1)
