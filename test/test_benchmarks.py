@@ -18,6 +18,10 @@ SMALLEST = {
         "--seeds 1 --duration 5",
         ("| 4 Hz | force |", "| 25 Hz | position |", "| 25 Hz | 50 ms |"),
     ),
+    "benchmark_data_check.py": (
+        "--trials ramp:soft --duration 40 --only 'wrench negated|Fz dead' --sound 1",
+        ("ramp (soft): 2 of 2 damaged copies named,", "sound: 0 findings on"),
+    ),
     "benchmark_drivers.py": (
         "--rate 20 --duration 1",
         ("clusters", "load cell", "motion capture", "physics"),

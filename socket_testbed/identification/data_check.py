@@ -131,7 +131,7 @@ SPIKE_SHARE = 0.05  # [-]; of a wrench's spike in the usual size of its group; s
 POSE_SPIKES = (3e-4, 5e-3)  # [m, rad]; sound 0.05 mm and nothing
 LEAST_SPIKES = 2
 CLEAR_SPIKE = 2.5  # [-]; of a spike over these limits, if there is only one; sound ratio 15
-MIN_STEP_RATIO = 10.0  # [-]; of a step over the usual ones and the noise; sound 8.2, if large 6.6
+MIN_STEP_RATIO = 8.0  # [-]; of a step over the usual ones and the noise; sound, if so large, 6.6
 STEP_SHARE = 0.1  # [-]; of a wrench's step in the usual size of its group
 POSE_STEPS = (1.5e-3, 0.01)  # [m, rad]; sound 0.3 mm
 MIN_STEP = 2.0  # [N]; of the force on a cluster
@@ -212,7 +212,7 @@ def check_data(
         found_over_time = [*_time_series(posed, geometry, noise, in_doubt)]
         found += found_over_time
         if not found_over_time and not in_doubt:
-            found += [*_drifts(counted, geometry)] or [
+            found += [*_drifts(posed, geometry)] or [
                 *_disagreements(counted, geometry, noise, prior_map)
             ]
     stopped = {each.source for each in raw if STILL in each.fact}
@@ -1171,10 +1171,11 @@ def _explained(course: FloatArray, by: FloatArray) -> float:
 def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
     """Delay of a series (N,) behind another [s]; 0 unless a lag is clearly better.
 
-    The period is the time between values [s].
+    One that moves against the other at once is reversed rather than late. The period is the time
+    between values [s].
     """
     best, fit, at_once = _best_lag(reference, course, period)
-    return best if fit > max(at_once + MIN_LAG_GAIN, MIN_LAG_FIT) else 0.0
+    return best if fit > max(abs(at_once) + MIN_LAG_GAIN, MIN_LAG_FIT) else 0.0
 
 
 def _best_lag(

@@ -115,6 +115,13 @@ def test_an_unclear_lag_is_none(rng) -> None:
     assert data_check._lag(line, line, 0.25) == 0.0
 
 
+def test_a_reversed_course_is_not_late() -> None:
+    """Half a period later a wave fits as well as reversed at once."""
+    wave = np.sin(2.0 * np.pi * np.arange(120) / 40)
+    noise = 0.05 * np.random.default_rng(0).normal(size=120)
+    assert data_check._lag(wave, -wave + noise, 0.25) == 0.0
+
+
 @pytest.mark.parametrize(
     ("values", "longest"),
     [([1.0, 1.0, 2.0, 2.0, 2.0], 3), ([5.0], 1), ([1.0, 2.0, 1.0], 1), ([4.0] * 4 + [1.0], 4)],

@@ -46,7 +46,7 @@ def test_a_cluster_unlike_the_others_is_named(opened, scenario: str) -> None:
     trial = opened[scenario]
     samples = trial.samples()
     offset = np.zeros_like(samples.local_forces)
-    offset[:, 0, 2] = 25e3 * trial.geometry.areas[0]
+    offset[:, 0, 2] = 35e3 * trial.geometry.areas[0]
     spoilt = replace(samples, local_forces=samples.local_forces - offset)
     (found,) = check_data(spoilt, trial.geometry)
     assert found.source == samples.clusters[0] and "the others" in found.fact
