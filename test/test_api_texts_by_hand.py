@@ -335,7 +335,7 @@ def test_an_export_is_refused_with_this_line(case: str, tmp_path: Path) -> None:
 
 OTHERS = {
     "no trial": (
-        lambda: validation._recordings([], "all", None, {}),
+        lambda: validation._recordings([], "all", None, None, {}),
         "no trial to validate on: give one or more trials",
     ),
     "no figure": (
