@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.api.pressure import pressure
+from socket_testbed.api.survey import Survey
 from socket_testbed.api.trials import (
     Progress,
     as_trial,
@@ -330,6 +331,7 @@ def compare(
     threshold: float = ComparisonOptions.threshold,
     by_region: bool = False,
     params: PathLike | None = None,
+    prior: Survey | PathLike | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """Compare trials: every value side by side, and differences from the first.
@@ -350,6 +352,8 @@ def compare(
         threshold: As in `st.pressure`.
         by_region: Whether to compare trials by region alone; their sockets may then differ.
         params: A `testbed.yaml` to use instead of each trial's own.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
         progress: See `Progress`.
 
     Returns:
@@ -358,7 +362,8 @@ def compare(
 
     Raises:
         ConfigurationError: There are too few or too many trials or conditions, one is given twice,
-            the sockets differ, or a setting is wrong.
+            the sockets differ, a setting is wrong, or the survey is of another socket or holds a
+            trial.
         TrialError: A trial cannot be read or has no such segment.
         IdentificationError: The measured values of a trial have another unit.
 
@@ -380,7 +385,9 @@ def compare(
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
         with naming(name, TrialError, IdentificationError):
-            found.append(pressure(trial, specification, threshold=threshold, params=params))
+            found.append(
+                pressure(trial, specification, threshold=threshold, params=params, prior=prior)
+            )
         report(done, len(trials))
     first, sides = trials[0], {trial.metadata.side for trial in trials}
     one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import pandas as pd
 
@@ -11,6 +12,7 @@ from socket_testbed.api.cycles import cycles_by
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
+from socket_testbed.api.survey import Survey
 from socket_testbed.api.trials import as_trial
 from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
@@ -51,6 +53,7 @@ def export(
     pressure: bool = False,
     cycles: str | tuple[str, str] | None = None,
     about: tuple[float, float, float] | None = None,
+    prior: Survey | PathLike | None = None,
 ) -> pd.DataFrame:
     """Write the synchronised samples of a trial, with the raw measurements, as a table.
 
@@ -69,10 +72,13 @@ def export(
             columns over 0 to 100 % of a cycle, see `st.cycles`.
         about: Reference point of the moments in {S}, such as the knee's centre [m] (default: the
             load cell's origin).
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
 
     Returns:
         The table as written. Its `attrs` describe the `segment` and the `rows`; their `notes` say
-        what was left out of the file, or is NaN there, one line each. A row per sample, no named
+        what was left out of the file, or is NaN there, and which prior was used with a survey, one
+        line each. A row per sample, no named
         index; missing values are NaN. Columns:
 
         - `stamp [ns]` of the trigger since the epoch, `time [s]` since the trial's first sample;
@@ -93,7 +99,8 @@ def export(
 
     Raises:
         ConfigurationError: The suffix is unknown or its format does not hold what is asked for,
-            `about` is no point near the load cell, or the model is of another socket.
+            `about` is no point near the load cell, the model or the survey is of another socket, or
+            the survey holds the trial.
         TrialError: The trial cannot be read, has no such segment, or lacks markers or cycles.
 
     >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
@@ -107,6 +114,10 @@ def export(
         fact = f"about is {[*about] if isinstance(about, list | tuple) else described(about)}"
         raise ConfigurationError(fact, hint)
     check_suffix(path, EXPORT_FORMATS, "trial's export")
+    if prior is not None and not (force_map or pressure):
+        raise ConfigurationError(
+            "a prior is given, but no column that it changes", "add --map or --pressure"
+        )
     cycles = None if cycles is None else cycles_by(cycles)
     if path.suffix.lower() in GAIT_FORMATS:
         if model or force_map or pressure or cycles:
@@ -127,6 +138,7 @@ def export(
     measured, samples = trial.measurements_and_samples()
     predicted = None
     added: list[pd.DataFrame] = []
+    sources: dict[str, None] = {}
     if stored is not None:
         predicted = predictions(trial, stored)
         predicted[:, :6] = moments_about(predicted[:, :6], about)
@@ -136,11 +148,9 @@ def export(
             stored.settings.pose_smoothing,
         )
         added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
-    if force_map:
-        mapped = force_map_of(trial, chosen).estimate
-        added.append(pd.DataFrame(mapped.columns(trial.geometry.names, "map.")))
-    if pressure:
-        added.append(pressure_of(trial, chosen).over_time().add_prefix("pressure."))
+    for source, columns in _mapped(trial, chosen, force_map, pressure, prior):
+        added.append(columns)
+        sources[source] = None
     moved = dataclasses.replace(samples, wrench=moments_about(samples.wrench, about))
     table = sample_table(measured, moved, trial.calibration, chosen, predicted)
     table = pd.concat([table, *(each.set_axis(table.index) for each in added)], axis=1)
@@ -152,5 +162,23 @@ def export(
         notes = write_standard_bag(measured, chosen.rows, table, path)
     else:
         write_table(table, path)
+    if prior is not None:
+        notes = (*notes, *sources)
     table.attrs |= {"segment": str(chosen), "rows": rows, "notes": notes}
     return table
+
+
+def _mapped(
+    trial: Trial,
+    chosen: Segment,
+    force_map: bool,
+    pressure: bool,
+    prior: Survey | PathLike | None,
+) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Columns of the force map and of the pressure outputs, each with their source in words."""
+    if force_map:
+        found = force_map_of(trial, chosen, prior=prior).estimate
+        yield found.source, pd.DataFrame(found.columns(trial.geometry.names, "map."))
+    if pressure:
+        outputs = pressure_of(trial, chosen, prior=prior)
+        yield outputs.outputs.source, outputs.over_time().add_prefix("pressure.")

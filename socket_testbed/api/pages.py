@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for, predictions
+from socket_testbed.api.pressure import prior_for
 from socket_testbed.api.survey import LEGEND as SURVEY_LEGEND
 from socket_testbed.api.survey import Survey
 from socket_testbed.api.tradeoff import theta_values
@@ -68,6 +69,7 @@ def write_report(
     model: Model | None = None,
     thetas: int = ReportOptions.thetas,
     params: PathLike | None = None,
+    prior: Survey | PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
     figures: bool = False,
@@ -88,6 +90,8 @@ def write_report(
         model: A further model to show.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
         command: The command that made the page, for the record.
         replace: Whether to replace an existing page and its folder; otherwise they are an error.
         figures: Whether to add figures for print to the folder, as `.pdf` and `.png`.
@@ -101,7 +105,8 @@ def write_report(
         `validation` the results behind the figures.
 
     Raises:
-        ConfigurationError: The page exists already, or a setting or a file is wrong.
+        ConfigurationError: The page exists already, a setting or a file is wrong, or the survey is
+            of another socket or holds the trial.
         TrialError: The trial cannot be read or has no such segment.
         IdentificationError: The samples cannot be fitted.
 
@@ -123,6 +128,7 @@ def write_report(
     style = figure_style(width, title)  # fails before long work
     settings = trials.settings_of(trial, params, **choices)
     stored = None if model is None else model_for(trial, model)
+    learnt = prior_for(trial, prior)
     with threadpool_limits(1):
         results = compute_results(
             trial,
@@ -131,6 +137,7 @@ def write_report(
             values,
             stored,
             trials.started(progress, "fitting, judging, mapping"),
+            learnt,
         )
     for text in (*map(str, results.data), *results.bag_notes):
         trial.note(text)
@@ -358,6 +365,7 @@ def view(
     trial: Trial | PathLike,
     model: Model | None = None,
     *,
+    prior: Survey | PathLike | None = None,
     port: int = 0,
     host: str = ViewSettings.host,
     names: tuple[str, ...] = (),
@@ -370,6 +378,8 @@ def view(
     Args:
         trial: The trial.
         model: A fit, a model from `read_model`, or the path of its file, to show its predictions.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
         port: Port of the page; 0 for any free port.
         host: Address of this machine to serve the page on, `0.0.0.0` for all; at `127.0.0.1` only
             this machine can open it.
@@ -379,8 +389,8 @@ def view(
         The page: a context manager with its `url`, served until `close` or the program's end.
 
     Raises:
-        ConfigurationError: The page cannot be served at this address, or the model is of another
-            socket.
+        ConfigurationError: The page cannot be served at this address, the model or the survey is of
+            another socket, or the survey holds the trial.
         TrialError: The trial cannot be read.
 
     >>> with st.view(st.open_trial("trials/hold")) as page:
@@ -393,5 +403,5 @@ def view(
 
     check_kind(host, str, "host", "give an address, such as 127.0.0.1")
     predicted = None if model is None else predictions(trial, model_for(trial, model))
-    player = Player(trial, predicted)
+    player = Player(trial, predicted, prior_for(trial, prior))
     return PageServer(player, host, port, names)

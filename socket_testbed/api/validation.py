@@ -13,6 +13,8 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api.pressure import prior_for
+from socket_testbed.api.survey import Survey
 from socket_testbed.api.trials import (
     Progress,
     as_path,
@@ -58,12 +60,14 @@ class Validation(Result):
         judgements: The errors of each predictor on each question, test and trial, by cluster where
             clusters are left out.
         metadata: Stated metadata of each of `trials`, in their order.
+        priors: With a survey as a prior, what the force map of each trial used, in words.
     """
 
     trials: tuple[str, ...]
     fitted: tuple[str, ...]
     judgements: tuple[validation.Judgement, ...]
     metadata: tuple[TrialMetadata, ...]
+    priors: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -135,13 +139,15 @@ class Validation(Result):
 
         Returns:
             The names `trials` and `fitted`; `levels`, the probabilities of the tested intervals
-            [-]; and `judgements`, with the share of the values within each level as `coverage`.
+            [-]; `judgements`, with the share of the values within each level as `coverage`; and
+            `priors` in words, empty without a survey.
         """
         return {
             "trials": list(self.trials),
             "fitted": list(self.fitted),
             "levels": list(validation.LEVELS),
             "judgements": [record(judgement) for judgement in self.judgements],
+            "priors": list(self.priors),
         }
 
 
@@ -149,6 +155,7 @@ def validate(
     *trials: Trial | PathLike,
     segment: str | Span | Segment = "all",
     params: PathLike | None = None,
+    prior: Survey | PathLike | None = None,
     progress: Progress | None = None,
     **choices: Unpack[ValidationChoices],
 ) -> Validation:
@@ -169,6 +176,8 @@ def validate(
         trials: Trials of one socket.
         segment: As in `fit`.
         params: A `testbed.yaml` to use instead of each trial's own.
+        prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
+            prior of the force map; the trial must not be in it.
         progress: See `Progress`.
         choices: `theta`, `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in
             `fit`.
@@ -179,7 +188,7 @@ def validate(
 
     Raises:
         ConfigurationError: No trial is given, one is given twice, they are of different sockets, or
-            a setting is wrong.
+            a setting is wrong, or the survey is of another socket or holds a trial.
         TrialError: A single trial cannot be read or has no such segment; none of several can be
             judged.
         IdentificationError: A single trial has too few samples under load to fit and to test.
@@ -191,7 +200,8 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    recordings = _recordings([*map(as_trial, trials_of(trials))], segment, as_path(params), choices)
+    opened = [*map(as_trial, trials_of(trials))]
+    recordings = _recordings(opened, segment, as_path(params), prior, choices)
     several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
@@ -213,7 +223,8 @@ def validate(
             report(next(done), total)
     names, fitted_names = (tuple(r.name for r in listed) for listed in (recordings, fitted))
     metadata = tuple(recording.trial.metadata for recording in recordings)
-    return Validation(names, fitted_names, tuple(judgements), metadata)
+    priors = tuple(recording.used for recording in recordings if recording.used)
+    return Validation(names, fitted_names, tuple(judgements), metadata, priors)
 
 
 @contextmanager
@@ -241,6 +252,7 @@ class _Recording:
     settings: EstimatorSettings
     samples: Samples
     prior_map: ForceMap | None = None
+    used: str = ""
 
     def judge(self, with_models: bool) -> list[validation.Judgement]:
         """Judgements on this trial alone, with or without model fits."""
@@ -290,6 +302,7 @@ def _recordings(
     trials: Sequence[Trial],
     segment: str | Span | Segment,
     params: Path | None,
+    prior: Survey | PathLike | None,
     choices: ValidationChoices,
 ) -> list[_Recording]:
     """Read the trials, which must be different and of one socket."""
@@ -306,8 +319,10 @@ def _recordings(
             loaded = np.zeros(len(checked.measured), dtype=bool)
             loaded[rows] = samples.under_load(settings.plateau.least_force)
             checked.part(loaded)  # refuses another unit
-            prior_map = checked.prior_map(settings.force_map)
-            found.append(_Recording(name, trial, settings, samples, prior_map))
+            learnt = prior_for(trial, prior)
+            prior_map = checked.prior_map(settings.force_map, learnt)
+            used = "" if learnt is None else f"{name}: {prior_map.source(samples[loaded[rows]])}"
+            found.append(_Recording(name, trial, settings, samples, prior_map, used))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")
     return found

@@ -30,6 +30,7 @@ from socket_testbed.settings.options import (
     PageOptions,
     PaperOptions,
     PressureOptions,
+    PriorOptions,
     RegistrationOptions,
     ReportOptions,
     Scenario,
@@ -319,6 +320,7 @@ class Mark(Options, summary="mark an event in the running graph, for the trial b
 class View(
     PageOptions,
     TrialFiles,
+    PriorOptions,
     summary="view the running testbed, or play a trial, in a browser: pressure map, wrench,"
     " sensors",
 ):

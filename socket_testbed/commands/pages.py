@@ -43,6 +43,7 @@ from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.options import (
     ComparisonOptions,
+    PriorOptions,
     ReportOptions,
     SensorFiles,
     SurveyOptions,
@@ -226,7 +227,8 @@ def view(call: calls.View) -> None:
     refuse_given(live, "the running testbed", "leave out the trial")
     opened = open_given(call.trial, call)
     report_data(opened)
-    with api.view(opened, call.model, host=call.host, port=call.port, names=names) as page:
+    found = given(call, PriorOptions)
+    with api.view(opened, call.model, host=call.host, port=call.port, names=names, **found) as page:
         say(f"the trial is shown at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             while time.monotonic() < ends:
@@ -240,6 +242,7 @@ def _follow(call: calls.View, ends: float) -> None:
         "calibration": call.calibration,
         "load_cell": call.load_cell,
         "tare": call.tare,
+        "prior": call.prior,
     }
     refuse_given(for_trials, "a trial", "give the folder of the trial")
     settings = ViewSettings(

@@ -195,6 +195,8 @@ def _show_validation(found: api.Validation) -> None:
             f"{len(found.trials)} trials, means over them; models fitted on {len(found.fitted)}:"
             f" {', '.join(found.fitted)}"
         )
+    for line in found.priors:
+        print(line)
     for judged in judged_tables(found.judgements):
         print(f"\n{judged.caption}\n\n{text_of(judged)}")
     print(f"\n{textwrap.fill(LEGEND, 100)}")

@@ -9,6 +9,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, evenly, sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pressure import measured_rows
+from socket_testbed.identification.survey_prior import SurveyPrior
 from socket_testbed.pages import document
 from socket_testbed.results.pressure import map_trial
 from socket_testbed.trials.trial import Trial
@@ -21,16 +22,22 @@ _INTEGRAL = "pressure-time integral, whole trial [kPa s]"
 class Player:
     """A trial as a `Source` of the page: map and outputs are computed on demand."""
 
-    def __init__(self, trial: Trial, predicted: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        trial: Trial,
+        predicted: FloatArray | None = None,
+        prior: SurveyPrior | None = None,
+    ) -> None:
         """Compute the force map's prior and the course of a trial.
 
         Args:
             trial: The trial of N samples.
             predicted: A model's predictions of all its channels, shape (N, 6 + 3c) [N m, N], of
                 which the page shows the wrench; None without a model.
+            prior: A survey of the limb as a prior of the force map; None for none.
         """
         self._samples = samples = trial.samples()
-        self._mapped = map_trial(trial, trial.estimator)
+        self._mapped = mapped = map_trial(trial, trial.estimator, prior=prior)
         self._data = document.check_card(trial.problems(), trial.notes)
         nothing = np.full((len(samples), 6), np.nan)
         self._predicted = nothing if predicted is None else predicted[:, :6]
@@ -38,9 +45,12 @@ class Player:
         time = 1e-9 * (found.samples.stamps - samples.stamps[0])
         rows = evenly(len(samples), _INTEGRAL_SAMPLES)
         self._integral = self._mapped.outputs(rows).regions.integral
+        facts = trial.metadata.described()
+        if prior is not None:
+            facts = facts | {"map from": mapped.force_map.source(mapped.samples)}
         self._start = document.trial_document(trial, found, time) | {
             "title": trial.name,
-            "facts": trial.metadata.described(),
+            "facts": facts,
             "start": float(time[found.peak_row]),
             "end": float(samples.time[-1]),
         }

@@ -17,6 +17,7 @@ from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.pressure import PressureOutputs
+from socket_testbed.identification.survey_prior import SurveyPrior
 from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.results.models import Evaluation, fit_segment, judge
 from socket_testbed.results.pressure import TrialPressure, map_trial
@@ -124,6 +125,7 @@ def compute_results(
     thetas: Sequence[float] | FloatArray,
     given: FittedModel | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    prior: SurveyPrior | None = None,
 ) -> Results:
     """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both.
 
@@ -135,6 +137,7 @@ def compute_results(
         thetas: Ascending thetas of the fronts, 0 to 1 [-].
         given: A further model to show; None for none.
         progress: Called with the number of stages done and their total.
+        prior: A survey of the limb as a prior of the force map; None for none.
     """
     identification, leave_out = settings.identification, settings.identification.leave_out
     checked = trial.checked(leave_out)
@@ -171,12 +174,12 @@ def compute_results(
             truth,
             trial.name,
             notes.append,
-            checked.prior_map(settings.force_map),
+            checked.prior_map(settings.force_map, prior),
         )
     except IdentificationError as error:
         no_validation = str(error)
     progress(4, _STAGES)
-    mapped = map_trial(trial, settings)
+    mapped = map_trial(trial, settings, prior=prior)
     pressure = mapped.part(whole).pressure()
     peak = whole.rows.start + pressure.outputs.peak_row
     over_trial = mapped.course(_PRESSURE_SAMPLES, [peak])

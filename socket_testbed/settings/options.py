@@ -286,7 +286,19 @@ class PaperOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValidationOptions(ThetaOptions, PoseOptions):
+class PriorOptions(Options):
+    """The prior of the force map."""
+
+    prior: Path | None = option(
+        None,
+        "a survey of this limb in this socket, such as the file of survey -o FILE.json, as a prior"
+        " of the force map; the trial must not be in it",
+        metavar="SURVEY",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationOptions(ThetaOptions, PoseOptions, PriorOptions):
     """Options of `st.validate`."""
 
     segment: str = segment_option("all")
@@ -308,18 +320,6 @@ class EvaluationOptions(Options):
     pressure: bool = option(
         False,
         "add the pressure outputs of the segment. They come from the force map, not from the model",
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class PriorOptions(Options):
-    """The prior of the force map."""
-
-    prior: Path | None = option(
-        None,
-        "a survey of this limb in this socket, such as the file of survey -o FILE.json, as a prior"
-        " of the force map; the trial must not be in it",
-        metavar="SURVEY",
     )
 
 
@@ -347,7 +347,7 @@ class PressureOptions(MapOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComparisonOptions(Options):
+class ComparisonOptions(PriorOptions):
     """Options of `st.compare`."""
 
     segment: str = segment_option("plateau")
@@ -376,7 +376,7 @@ class SurveyOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
+class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions, PriorOptions):
     """Options of `st.write_report`."""
 
     model: Path | None = option(None, "a further model to show", metavar="MODEL")
@@ -384,7 +384,7 @@ class ReportOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions(Options):
+class ExportOptions(PriorOptions):
     """Options of `st.export`."""
 
     segment: str = segment_option("all")

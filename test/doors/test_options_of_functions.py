@@ -21,6 +21,7 @@ from support.arrivals import Stage, changes, options_of, plain, write_files
 
 import socket_testbed as st
 from socket_testbed.files import packaged
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.fit import FittedModel
 from socket_testbed.results.pressure import TrialMap
 from socket_testbed.settings.identification import IdentificationSettings
@@ -206,7 +207,7 @@ def _stands_for_map(stage: Stage) -> None:
     stage.watch_trials()
 
     def mapped(trial: Trial, settings: Any, geometry: Any = None, prior: Any = None) -> Any:
-        stage.seen["prior"] = prior and prior.name
+        stage.seen["survey"] = prior and prior.name
         stage.seen |= {"left out": settings.identification.leave_out}
         stage.seen["length of the prior"] = settings.force_map.length
         stage.seen["regions"] = {} if geometry is None else geometry.regions
@@ -298,14 +299,20 @@ def call_survey(stage: Stage, **options: Any) -> None:
 def call_validate(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
 
+    def mapped(checked: Any, settings: Any, prior: Any = None) -> Any:
+        return prior and SimpleNamespace(name=prior.name, source=lambda samples: "by hand")
+
+    stage.patch.setattr(CheckedSamples, "prior_map", mapped)
+
     def judged(samples: Any, geometry: Any, settings: Any, *others: Any) -> list[Any]:
+        stage.seen["survey"] = others[-1] and others[-1].name
         stage.seen |= {"samples": len(samples)} | settings.identification.to_flat()
         missing = np.isnan(samples.wrench).all(axis=0)
         stage.seen["missing in the wrench"] = np.flatnonzero(missing).tolist()
         return ["a judgement"]
 
     stage.replace("identification.validation.judge_samples", judged)
-    st.validate(stage.trial, **options)
+    stage.seen["priors"] = st.validate(stage.trial, **options).priors
 
 
 # ------------------------------------------------------------------ files and pages
@@ -316,14 +323,18 @@ def call_export(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
     times = stage.trial.samples().time
 
-    def mapped(trial: Trial, segment: Segment) -> Any:
+    def mapped(trial: Trial, segment: Segment, prior: Any) -> Any:
+        stage.seen["survey"] = prior
         shape = len(times[segment.rows])
         columns = lambda names, prefix: {f"{prefix}force [N]": np.zeros(shape)}  # noqa: E731
-        return SimpleNamespace(estimate=SimpleNamespace(columns=columns))
+        estimate = SimpleNamespace(columns=columns, source="a map by hand")
+        return SimpleNamespace(estimate=estimate)
 
-    def pressures(trial: Trial, segment: Segment) -> Any:
+    def pressures(trial: Trial, segment: Segment, prior: Any) -> Any:
+        stage.seen["survey"] = prior
         table = pd.DataFrame({"peak [kPa]": np.zeros(len(times[segment.rows]))})
-        return SimpleNamespace(over_time=lambda: table)
+        outputs = SimpleNamespace(source="pressures by hand")
+        return SimpleNamespace(over_time=lambda: table, outputs=outputs)
 
     def brought(trial: Trial, table: pd.DataFrame, *, by: str, segment: Segment) -> Any:
         stage.seen |= {"cycles by": by, "cycles in": str(segment)}
@@ -342,12 +353,16 @@ def call_export(stage: Stage, **options: Any) -> None:
         stage.seen["lever of Fx [m]"] = [round(float(end), 6) for end in (min(lever), max(lever))]
 
     stage.replace("api.export.write_table", written)
-    st.export(stage.trial, **{"path": "samples.csv"} | options)
+    table = st.export(stage.trial, **{"path": "samples.csv"} | options)
+    stage.seen["notes"] = table.attrs["notes"]
 
 
 @calls
 def call_write_report(stage: Stage, **options: Any) -> None:
-    def computed(trial: Trial, part: str, settings: Any, values: Any, model: Any, report: Any):
+    def computed(
+        trial: Trial, part: str, settings: Any, values: Any, model: Any, report: Any, prior: Any
+    ) -> Any:
+        stage.seen["survey"] = prior and prior.name
         stage.seen |= {"part": part, "values": values.tolist()} | settings.identification.to_flat()
         stage.seen["least force"] = settings.plateau.least_force
         stage.seen["model of"] = model and model.trial
@@ -409,7 +424,11 @@ def call_view(stage: Stage, **options: Any) -> None:
         return f"predictions of {stored.trial}"
 
     stage.replace("api.pages.predictions", predicted)
-    stage.keep("pages.player.Player", "", "predictions")
+
+    def played(trial: Trial, predictions: Any, prior: Any) -> None:
+        stage.seen |= {"predictions": predictions, "survey": prior and prior.name}
+
+    stage.replace("pages.player.Player", played)
     stage.keep("pages.server.PageServer", "", "host", "port", "names")
     st.view(stage.trial, **options)
 
@@ -536,7 +555,7 @@ NO_BODIES = {"kept bodies": None}
 NOT_BY_AXES = {**dict.fromkeys(("upwards", "front", "height"), "nothing"), "notes": ()}
 REGIONS = {"mine": ["ant_prox", "right_end"]}
 
-PRIOR = {"prior": ("survey.json", {"prior": "survey of a, b"})}
+PRIOR = {"prior": ("survey.json", {"survey": "survey of a, b"})}
 CASES: dict[str, Cases] = {
     "open_trial": {
         "geometry": ("socket.yaml", {"socket": "socket.yaml"}),
@@ -654,6 +673,10 @@ CASES: dict[str, Cases] = {
             },
         ),
         "by_region": (True, {"regions alone": True, "tiles": False}),
+        "prior": (
+            "survey.json",
+            {"scene: prior": "survey.json", "second: prior": "survey.json"},
+        ),
         "params": (
             "params.yaml",
             {"scene: params": "params.yaml", "second: params": "params.yaml"},
@@ -683,6 +706,7 @@ CASES: dict[str, Cases] = {
         ),
         "pose_smoothing": (1.5, {"pose_smoothing": 1.5}),
         "solver": ("clarabel", {"solver": "clarabel"}),
+        "prior": ("survey.json", {"survey": "survey of a, b", "priors": ("scene: by hand",)}),
         PROGRESS: (PROGRESS, {"validating": (1, 1)}),
     },
     "export": {
@@ -692,8 +716,13 @@ CASES: dict[str, Cases] = {
             "model.json",
             {"added": ["predicted", "springs"], "sound without": ("distal.Fx",)},
         ),
-        "force_map": (True, {"added": ["map"]}),
-        "pressure": (True, {"added": ["pressure"]}),
+        "force_map": (True, {"added": ["map"], "survey": None}),
+        "pressure": (True, {"added": ["pressure"], "survey": None}),
+        "prior": (
+            "survey.json",
+            {"survey": "survey.json", "notes": ("a map by hand", "pressures by hand")},
+            {"force_map": True, "pressure": True},
+        ),
         "cycles": (
             "push",
             {"cycles by": "push", "cycles in": "all 0.00 s to 23.75 s", "rows": 5},
@@ -705,6 +734,7 @@ CASES: dict[str, Cases] = {
         "segment": ("2:5", {"part": "2:5"}),
         "params": ("params.yaml", {"theta": 0.2, "least force": 30.0}),
         "leave_out": (("Mz",), {"leave_out": ["Mz"]}),
+        **PRIOR,
         "page": ("new.html", {"page": "new.html", "checked page": "new.html"}),
         "model": ("model.json", {"model of": "another"}),
         "thetas": (3, {"values": [0.0, 0.5, 1.0]}),
@@ -724,6 +754,7 @@ CASES: dict[str, Cases] = {
         "command": ("by hand", {"command": "by hand"}),
     },
     "view": {
+        **PRIOR,
         "model": ("model.json", {"predictions": "predictions of another"}),
         "port": (8081, {"port": 8081}),
         "host": ("0.0.0.0", {"host": "0.0.0.0"}),

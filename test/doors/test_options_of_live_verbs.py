@@ -238,7 +238,7 @@ def prepare_view(stage: Stage, clock: Clock) -> None:
         files = (trial.path, trial.socket_file, trial.calibration_file, trial.load_cell_file)
         names = ("trial", "socket", "calibration", "load cell")
         stage.seen |= {name: plain(file) for name, file in zip(names, files, strict=True)}
-        stage.seen |= {"tare": trial.tare, "model": plain(model)} | served
+        stage.seen |= {"tare": trial.tare, "model": plain(model)} | plain(served)
         return nullcontext(SimpleNamespace(url="http://here"))
 
     stage.patch.setattr(api, "view", viewed)
@@ -391,6 +391,7 @@ CASES: dict[str, Cases] = {
         ),
         "load_cell": ("--load-cell params.yaml", {"load cell": "params.yaml"}, {"trial": "scene"}),
         "tare": ("--tare none", {"tare": "none"}, {"trial": "scene"}),
+        "prior": ("--prior survey.json", {"prior": "survey.json"}, {"trial": "scene"}),
     },
     "replay": {
         "trial": ("second", {"replay_node.trial": "second"}),

@@ -381,6 +381,7 @@ CASES: dict[str, Cases] = {
         **TRIAL,
         **OPENED,
         **SETTINGS,
+        **PRIOR,
         "output": ("-o b.html", {"outputs": ["b.html"], "page": "b.html"}),
         "replace": ("--replace", {"replaced": True, "replace": True}),
         "width": ("--width 88", {"width": 88}),
@@ -396,6 +397,7 @@ CASES: dict[str, Cases] = {
         **OUTPUT,
         **FIGURE,
         **but(SETTINGS, "thetas", "frames", "initial_stiffness"),
+        **PRIOR,
     },
     "pareto": {
         **TRIAL,
@@ -425,6 +427,7 @@ CASES: dict[str, Cases] = {
         **OUTPUT,
         **THRESHOLD,
         **only(SETTINGS, "segment", "params"),
+        **PRIOR,
         "by_region": ("--by-region", {"by_region": True}),
         "condition": (
             {"trial": "", "condition": "--condition gel=scene --condition sock=second"},
@@ -489,6 +492,7 @@ CASES: dict[str, Cases] = {
         **OPENED,
         **REPLACE,
         **only(SETTINGS, "segment"),
+        **PRIOR,
         "output": ("-o b.csv", {"outputs": ["b.csv"], "path": "b.csv"}),
         "map": ("--map", {"force_map": True}),
         "model": ("--model model.json", {"model": "model.json"}),
