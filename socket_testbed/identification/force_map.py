@@ -256,13 +256,13 @@ class _Conditioned:
         """Of the hypotheses for the values (N, d + s), shape (N, M) [-].
 
         Given the amplitude's prior, the channels have a multivariate t distribution; after earlier
-        channels it is the ratio of two. A constant that depends on d alone is left out.
+        channels it is the ratio of two. Constants that depend on d alone, or on the number of
+        earlier channels alone, are left out.
         """
         freedom = AMPLITUDE_FREEDOM
         exponent, before = freedom + self.count, freedom + self.earlier
         distance = np.log1p(self.distance(measured) / freedom)
-        found = gammaln(0.5 * exponent) - gammaln(0.5 * before)
-        found = found - 0.5 * (self.log_determinant + exponent * distance)
+        found = gammaln(0.5 * exponent) - 0.5 * (self.log_determinant + exponent * distance)
         if self.earlier:
             known = measured[:, len(self.present) :] ** 2 @ self.distances.T
             found += 0.5 * before * np.log1p(known / freedom)

@@ -43,8 +43,8 @@ def samples_of(trial: Donned) -> Samples:
     return make_samples(np.zeros((len(trial.values), 3)), trial.values[:, :6], forces)
 
 
-def prior_of(surveyed: list[Donned]) -> SurveyPrior:
-    joint = JointMap(GEOMETRY, surveyed, ONE, (CHANGE,))
+def prior_of(surveyed: list[Donned], changes: tuple[float, ...] = (CHANGE,)) -> SurveyPrior:
+    joint = JointMap(GEOMETRY, surveyed, ONE, changes)
     named = [(f"trial {n}", f"print {n}", NAMES) for n in range(len(surveyed))]
     return learnt(joint, GEOMETRY, named, surveyed)
 
@@ -53,21 +53,26 @@ def placed(trial: Donned) -> Any:
     return replace(GEOMETRY, clusters=dict(zip(NAMES, trial.tiles, strict=True)), turned={})
 
 
-def mapped_after(surveyed: list[Donned], samples: Samples) -> ForceMap:
+def mapped_after(
+    surveyed: list[Donned], samples: Samples, changes: tuple[float, ...] = (CHANGE,)
+) -> ForceMap:
     """The map of the last trial's samples, with a survey of the others as its prior."""
     *others, last = surveyed
     geometry = placed(last)
-    expected = prior_of(others).expected(geometry, NAMES)
+    expected = prior_of(others, changes).expected(geometry, NAMES)
     return ForceMap(geometry, NAMES, ONE, samples, expected)
 
 
+@pytest.mark.parametrize("changes", [(CHANGE,), (0.4, 0.7)], ids=["one epsilon", "two epsilons"])
 @pytest.mark.parametrize("similar", [True, False], ids=["similar", "unlike"])
-def test_the_map_mixes_the_joint_and_the_ordinary(similar: bool) -> None:
+def test_the_map_mixes_the_joint_and_the_ordinary(
+    similar: bool, changes: tuple[float, ...]
+) -> None:
     surveyed = trials(similar)
     last, samples = surveyed[-1], samples_of(surveyed[-1])
-    mapped = mapped_after(surveyed, samples)
+    mapped = mapped_after(surveyed, samples, changes)
     share = mapped.survey_probability(samples)
-    joint = JointMap(GEOMETRY, surveyed, ONE, (CHANGE,)).field(2)
+    joint = JointMap(GEOMETRY, surveyed, ONE, changes).field(2)
     alone = JointMap(GEOMETRY, [last], ONE).field(0)
     mean = share * joint.forces + (1.0 - share) * alone.forces
     square = share * (joint.deviations**2 + joint.forces**2)
