@@ -320,6 +320,8 @@ def pressure(call: calls.Pressure) -> None:
 
 def _pressure(trial: Trial, call: calls.Pressure) -> TrialPressure:
     found = api.pressure(trial, **given(call, PressureOptions))
+    if call.prior is not None and not call.alone:
+        trial.note(found.outputs.source)  # the summary has no line for it
     if call.cycles is not None:
         _bring_to_cycles(found, call.cycles, output=call.output, **given(call, draw))
         return found

@@ -128,3 +128,35 @@ def test_unlike_loads_are_refused(trials, tmp_path, capsys) -> None:
         capsys, "survey", trials[0], tmp_path / "later", "--segment", "15:20",
         named=["no load of the first trial occurs in trial 2", "--segment"],
     )  # fmt: skip
+
+
+def test_a_survey_serves_the_next_trial(trials, few, tmp_path, capsys) -> None:
+    places = ("h239_a126", "h114_a080", "h113_a302", "h007_a054")
+    socket = socket_with(places, tmp_path / "next.yaml")
+    st.simulate(tmp_path / "next", duration=40, rate=1, seed=7, donning=5, geometry=socket)
+    file = tmp_path / "survey.json"
+    code, *_ = call(capsys, "survey", *trials, "--params", few, "-o", file)
+    assert code == 0
+    words = ("pressure", tmp_path / "next", "--params", few, "--prior", file, "--json")
+    code, out, _ = call(capsys, *words)
+    source = json.loads(out)["source"]
+    assert code == 0 and source.startswith("prior: survey of d0, d1, d2, with ")
+    found = st.survey(*trials, params=few, clusters=0)
+    maps = [
+        st.force_map(tmp_path / "next", params=few, prior=prior) for prior in (None, file, found)
+    ]
+    rows, geometry = maps[0].segment.rows, maps[0].trial.geometry
+    taken = {geometry.names.index(tile) for each in (*PLACES, places) for tile in each}
+    bare = np.setdiff1d(np.arange(len(geometry)), [*taken])
+    truth = np.load(tmp_path / "next" / "ground_truth.npz")["forces"][rows][:, bare]
+    plain, stored, kept = (
+        np.linalg.norm(each.estimate.forces[:, bare] - truth) / np.linalg.norm(truth)
+        for each in maps
+    )
+    assert stored == pytest.approx(kept, rel=1e-6)
+    assert stored < plain
+    refused(
+        capsys, "pressure", trials[1], "--prior", file,
+        named=["d1 is in the survey of d0, d1, d2 (d1)", "leave out --prior"],
+    )  # fmt: skip
+    refused(capsys, "pressure", trials[1], "--prior", socket, named=["is not a survey"])

@@ -1,6 +1,7 @@
 """A survey as a prior: every door takes it, and tells in a line which prior was used."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,18 @@ def test_a_page_tells_the_prior(opened: Trial, survey: Path) -> None:
     shown = Player(opened, prior=learnt).start()["facts"]
     assert LINE.match(shown["map from"])
     assert "map from" not in Player(opened).start()["facts"]
+
+
+def test_each_trial_of_a_folder_notes_its_prior(
+    scene_folder: Path, survey: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("first", "second"):
+        shutil.copytree(scene_folder, tmp_path / "study" / name)
+    words = ["pressure", str(tmp_path / "study"), "--segment", PART, "--prior", str(survey)]
+    assert run([*words, "-o", str(tmp_path / "out"), "--jobs", "1"]) == 0
+    told = "".join(capfd.readouterr())
+    for name in ("first", "second"):
+        assert f"{name}: prior: survey of a, b, with " in told
 
 
 def test_a_trial_of_the_survey_is_refused(opened: Trial, survey: Path, tmp_path: Path) -> None:
