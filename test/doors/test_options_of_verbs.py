@@ -58,6 +58,7 @@ class Result:
     geometry = SimpleNamespace(registration="by hand")
     existing = None
     name = "distal"
+    outputs = SimpleNamespace(source="by hand")
 
     def __init__(self, stage: Stage) -> None:
         self._seen = stage

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support import results_by_hand, scene
 from support.arrivals import Stage, changes
+from support.surveys import prior_by_hand
 
 from socket_testbed.identification import validation
 from socket_testbed.identification.fit import FittedModel
@@ -40,7 +41,9 @@ def settings_of(**changed: Any) -> EstimatorSettings:
 # ------------------------------------------------------------------ the report
 
 
-def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> dict[str, Any]:
+def computed(
+    stage: Stage, settings: EstimatorSettings, given: Any = None, survey: Any = None
+) -> dict[str, Any]:
     """What arrives at the stages of a report on the scene."""
     stage.seen = {}
     stage.watch_trials()
@@ -67,9 +70,11 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
         missing = np.flatnonzero(np.isnan(samples.wrench).all(axis=0))
         stage.seen |= {"validated": len(samples), "validated without": missing.tolist()}
         stage.seen |= {"validated above": own.plateau.least_force, "truth": truth is not None}
+        stage.seen["validated after"] = prior_map.surveyed and prior_map.surveyed.name
         return []
 
-    def mapped(trial: Trial, own: EstimatorSettings) -> Any:
+    def mapped(trial: Trial, own: EstimatorSettings, prior: Any) -> Any:
+        stage.seen["mapped after"] = prior and prior.name
         stage.seen |= {"prior": own.force_map.length, "map without": own.identification.leave_out}
 
         def part(segment: Segment) -> Any:
@@ -96,7 +101,7 @@ def computed(stage: Stage, settings: EstimatorSettings, given: Any = None) -> di
     }.items():
         stage.keep(f"identification.information.{name}", *places)
     stage.patch.setattr(Trial, "plateaus", lambda trial, own: [own.plateau.least_force])
-    found = compute_results(stage.trial, "2:5", settings, [0.0, 1.0], given)
+    found = compute_results(stage.trial, "2:5", settings, [0.0, 1.0], given, prior=survey)
     for judged in found.candidates.values():
         assert judged.held_out and judged.load_shares() is judged.engagement() is None
     stage.seen |= {"plateaus above": found.plateaus, "segment": str(found.segment)}
@@ -146,6 +151,13 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     ),
     "prior": ({"length": 0.05}, {"prior": 0.05}),
 }
+
+
+def test_a_report_passes_its_survey_on(stage: Stage) -> None:
+    usual = computed(stage, settings_of())
+    found = computed(stage, settings_of(), survey=prior_by_hand(scene.geometry()))
+    expected = dict.fromkeys(("validated after", "mapped after"), "survey of a, b")
+    assert changes(usual, found) == expected
 
 
 @pytest.mark.parametrize("case", REPORT)

@@ -220,6 +220,7 @@ class HandMap:
     """Stands for `ForceMap`: the forces of the scene, with errors that all tiles share."""
 
     def __init__(self, socket, clusters, settings=None, trial=None, surveyed=None) -> None:
+        self.surveyed = surveyed
         self._areas = socket.areas
         self._rotations = socket.rotations
         self._errors = (
