@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.api.pressure import pressure
-from socket_testbed.api.survey import Survey
 from socket_testbed.api.trials import (
     Progress,
     as_trial,

@@ -12,7 +12,6 @@ from socket_testbed.api.cycles import cycles_by
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.survey import Survey
 from socket_testbed.api.trials import as_trial
 from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
