@@ -30,7 +30,7 @@ from socket_testbed.files import (
     packaged,
 )
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.data_check import DataFinding
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.identification import FitChoices, IdentificationSettings
 from socket_testbed.settings.options import (

@@ -17,7 +17,7 @@ from socket_testbed.commands.terminal import say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
-from socket_testbed.identification.data_check import GOOD
+from socket_testbed.identification.data_finding import GOOD
 from socket_testbed.identification.survey_prior import read_survey
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.options import (

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 from socket_testbed.arrays import BoolArray
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
-from socket_testbed.identification.data_check import DataFinding, check_data
+from socket_testbed.identification.data_check import check_data
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import ChannelNoise, channel_noise
 from socket_testbed.identification.plausibility import Outliers

@@ -20,7 +20,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import LEAST_CHECKED
+from socket_testbed.identification.data_finding import LEAST_CHECKED
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.problem import MIN_SAMPLES, group_sizes
 from socket_testbed.samples import Samples

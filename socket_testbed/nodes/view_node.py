@@ -27,7 +27,7 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.identification.data_check import CHECK
+from socket_testbed.identification.data_finding import CHECK
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     THRESHOLD,

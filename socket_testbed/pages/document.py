@@ -30,7 +30,7 @@ from socket_testbed.geometry.socket import (
     UNMEASURED,
     SocketGeometry,
 )
-from socket_testbed.identification.data_check import DataFinding
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.pressure import (
     PressureOutputs,
     Quantity,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from socket_testbed.figures.style import FigureStyle
 from socket_testbed.files import PAGES, atomic_output, check_outputs, check_suffix, refuse_existing
-from socket_testbed.identification.data_check import GOOD
+from socket_testbed.identification.data_finding import GOOD
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
 from socket_testbed.results.report import Results

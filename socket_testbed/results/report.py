@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import information
-from socket_testbed.identification.data_check import DataFinding
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.identification.pareto import Front, pareto_front

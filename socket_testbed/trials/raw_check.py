@@ -30,13 +30,12 @@ from socket_testbed.errors import ConfigurationError, TrialError, fact_and_hint
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.data_check import (
+from socket_testbed.identification.channel_check import MAX_MISSING, still_limit
+from socket_testbed.identification.data_finding import (
     LEAST_CHECKED,
-    MAX_MISSING,
     STILL,
     WRITE_QUATERNIONS,
     DataFinding,
-    still_limit,
 )
 from socket_testbed.identification.noise import deviations
 from socket_testbed.settings.acquisition import LoadCellSettings

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from socket_testbed.identification.checked import CheckedSamples, Evidence
-    from socket_testbed.identification.data_check import DataFinding
+    from socket_testbed.identification.data_finding import DataFinding
 
 _CHECKED = 20  # [messages]; at the start of a trial
 _FINGERPRINT_SPAN = 30.0  # [s]; a copy that was cut later has the same fingerprint

@@ -17,7 +17,7 @@ from socket_testbed.commands.calls import CALLS, ConfigurationOptions, Fit
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import packaged
-from socket_testbed.identification.data_check import GOOD
+from socket_testbed.identification.data_finding import GOOD
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.options import TrialFiles
 from socket_testbed.settings.testbed import TestbedSettings

@@ -14,11 +14,14 @@ from support.verbs import program
 from socket_testbed import __version__, clocks
 from socket_testbed.__main__ import VERBS
 from socket_testbed.identification import (
+    channel_check,
+    courses,
     data_check,
     force_map,
     plausibility,
     pressure,
     problem,
+    sudden_changes,
 )
 from socket_testbed.live.sources import check_sources
 from socket_testbed.nodes import estimator_node, recorder_node
@@ -123,25 +126,25 @@ NUMBERS = {
     "faults": (
         f"retries after {clocks._MIN_WAIT} s, then after up to {clocks._MAX_WAIT} s",
         f"no data at the recorder for {recorder_node._SILENCE_TIMEOUT:g} s",
-        f"correlation below {data_check.REVERSED}; sound",
-        f"varies by {data_check.LOCAL_SHARE[1]:g} times their share of the load (by area), or is"
-        f" {data_check.MAX_BORNE:g} times the load",
+        f"correlation below {courses.REVERSED}; sound",
+        f"varies by {courses.LOCAL_SHARE[1]:g} times their share of the load (by area), or is"
+        f" {courses.MAX_BORNE:g} times the load",
         f"a lever below {1e3 * data_check.MIN_LEVER:g} mm",
         f"below {data_check.LOAD_RANGE[0]:g} or above {data_check.LOAD_RANGE[1]:g} body weights",
-        f"a lag above {data_check.MAX_LAG} s",
-        f"a lag above {data_check.MAX_POSE_LAG} s",
-        f"behind load and pose at a lag above {data_check.MAX_CLUSTER_LAG} s",
-        f"correlate by {data_check.MIN_AXES_GAIN} more in other axes",
+        f"a lag above {courses.MAX_LAG} s",
+        f"a lag above {courses.MAX_POSE_LAG} s",
+        f"behind load and pose at a lag above {courses.MAX_CLUSTER_LAG} s",
+        f"correlate by {courses.MIN_AXES_GAIN} more in other axes",
         f"an input with {raw_check.NOISE_RATIO:g} times the noise",
         f"{raw_check.MAX_REPEATED:.0%} of the readings of a source repeat",
-        f"{1e3 * data_check.POSE_JUMPS[0]:g} mm or {data_check.POSE_JUMPS[1]} rad",
+        f"{1e3 * sudden_changes.POSE_JUMPS[0]:g} mm or {sudden_changes.POSE_JUMPS[1]} rad",
         f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
         f"mean pressure {data_check.INNOVATIONS[1]} sigma above or {-data_check.INNOVATIONS[0]}"
         " below",
         f"{1e-3 * data_check.LOCAL_VARIATION:g} kPa for a single tile's own",
-        f"{data_check.MAX_MISSING:.0%} missing, no change for {data_check.MAX_STILL:g} s,"
-        f" {data_check.MAX_CLIPPED:.0%} at one end",
-        f"noise above {data_check.MAX_NOISE['N']:g} N or {data_check.MAX_NOISE['N m']:g} N m",
+        f"{channel_check.MAX_MISSING:.0%} missing, no change for {channel_check.MAX_STILL:g} s,"
+        f" {channel_check.MAX_CLIPPED:.0%} at one end",
+        f"noise above {channel_check.MAX_NOISE['N']:g} N or {channel_check.MAX_NOISE['N m']:g} N m",
     ),
     "conventions": (
         f"volatile with depth {PUBLISHER_DEPTH}",

@@ -15,7 +15,7 @@ import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.commands import design, options, results
-from socket_testbed.identification.data_check import DataFinding
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.fit import evaluate
 from socket_testbed.report import quality, write
 from socket_testbed.results import models

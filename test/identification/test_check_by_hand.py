@@ -8,9 +8,11 @@ import pytest
 from support import scene
 from support.problems import make_samples
 
-from socket_testbed.identification import data_check
+from socket_testbed.identification import channel_check, courses, sudden_changes
 from socket_testbed.identification.checked import CheckedSamples
-from socket_testbed.identification.data_check import DataFinding, check_data
+from socket_testbed.identification.correlation import clear_lag, correlation, explained_share
+from socket_testbed.identification.data_check import check_data
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.samples import Samples, Status
 
 NAN = float("nan")
@@ -49,42 +51,42 @@ def test_the_gate_s_noise_is_judged() -> None:
 
 def test_missing_values_are_interpolated() -> None:
     course, time = np.array([NAN, 1.0, NAN, 3.0, NAN]), np.array([0.0, 1.0, 1.5, 3.0, 9.0])
-    assert data_check._filled(course, time).tolist() == [1.0, 1.0, 1.5, 3.0, 3.0]
-    assert data_check._filled(course[:1], time[:1]).tolist() == [0.0]
+    assert courses._filled(course, time).tolist() == [1.0, 1.0, 1.5, 3.0, 3.0]
+    assert courses._filled(course[:1], time[:1]).tolist() == [0.0]
 
 
 def test_correlation_needs_30_values() -> None:
     line = np.arange(40.0)
-    assert data_check._correlation(line, 3.0 - 2.0 * line) == pytest.approx(-1.0)
-    assert data_check._correlation(line, 0.0 * line) == 0.0
+    assert correlation(line, 3.0 - 2.0 * line) == pytest.approx(-1.0)
+    assert correlation(line, 0.0 * line) == 0.0
     known = np.where(line < 30, line, NAN)
-    assert data_check._correlation(known, line) == pytest.approx(1.0)
-    assert np.isnan(data_check._correlation(np.where(line < 29, line, NAN), line))
+    assert correlation(known, line) == pytest.approx(1.0)
+    assert np.isnan(correlation(np.where(line < 29, line, NAN), line))
 
 
 def test_correlation_is_that_of_numpy(rng) -> None:
     one, other = rng.normal(size=(2, 50)) + [[1.0], [5.0]]
     expected = np.corrcoef(one, other)[0, 1]
-    assert data_check._correlation(one, other) == pytest.approx(expected)
+    assert correlation(one, other) == pytest.approx(expected)
 
 
 def test_sinking_is_a_cosine() -> None:
     """Of motion (3, 0, -4) by the load: 0.8 downwards; sideways and upwards 0 and -1."""
     load = np.arange(40.0)
     for way, expected in (([3.0, 0, -4], 0.8), ([1.0, 0, 0], 0.0), ([0, 0, 2.0], -1.0)):
-        found = data_check._along(np.outer(load, way), load, np.array([0.0, 0.0, 1.0]))
+        found = courses._along(np.outer(load, way), load, np.array([0.0, 0.0, 1.0]))
         assert found == pytest.approx(expected, abs=1e-9)
-    assert data_check._along(np.full((40, 3), NAN), load, np.array([0.0, 0.0, 1.0])) == 1.0
+    assert courses._along(np.full((40, 3), NAN), load, np.array([0.0, 0.0, 1.0])) == 1.0
 
 
 def test_explained_is_a_share_of_variance() -> None:
     """A line plus a wave of the same variance that is orthogonal to it."""
     wave = np.sin(2.0 * np.pi * np.arange(64) / 64)
     other = np.cos(2.0 * np.pi * np.arange(64) / 64)
-    assert data_check._explained(wave + other + 9.0, wave[:, None]) == pytest.approx(0.5)
-    assert data_check._explained(wave, np.column_stack([wave, other])) == pytest.approx(1.0)
-    assert data_check._explained(np.ones(64), wave[:, None]) == 0.0
-    assert data_check._explained(wave[:29], wave[:29, None]) == 0.0
+    assert explained_share(wave + other + 9.0, wave[:, None]) == pytest.approx(0.5)
+    assert explained_share(wave, np.column_stack([wave, other])) == pytest.approx(1.0)
+    assert explained_share(np.ones(64), wave[:, None]) == 0.0
+    assert explained_share(wave[:29], wave[:29, None]) == 0.0
 
 
 _STEPS = np.random.default_rng(0).normal(size=500)
@@ -104,22 +106,22 @@ LAGS = {
 def test_a_lag_is_of_the_course(case: str) -> None:
     shift, period, lag = LAGS[case]
     course = np.roll(WAVE, shift)[50:-50]
-    assert data_check._lag(WAVE[50:-50], course, period) == pytest.approx(lag)
+    assert clear_lag(WAVE[50:-50], course, period) == pytest.approx(lag)
 
 
 def test_an_unclear_lag_is_none(rng) -> None:
     """A correlation of 0.5 at most, or a gain of 0.03 at most."""
     noise = rng.normal(size=100)
-    assert data_check._lag(WAVE[:100], noise, 0.25) == 0.0
+    assert clear_lag(WAVE[:100], noise, 0.25) == 0.0
     line = np.arange(100.0)
-    assert data_check._lag(line, line, 0.25) == 0.0
+    assert clear_lag(line, line, 0.25) == 0.0
 
 
 def test_a_reversed_course_is_not_late() -> None:
     """Half a period later a wave fits as well as reversed at once."""
     wave = np.sin(2.0 * np.pi * np.arange(120) / 40)
     noise = 0.05 * np.random.default_rng(0).normal(size=120)
-    assert data_check._lag(wave, -wave + noise, 0.25) == 0.0
+    assert clear_lag(wave, -wave + noise, 0.25) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -128,7 +130,7 @@ def test_a_reversed_course_is_not_late() -> None:
     ids=["end", "one", "none", "start"],
 )
 def test_runs_are_of_equal_values(values: list[float], longest: int) -> None:
-    assert data_check._longest_run(np.array(values)) == longest
+    assert channel_check._longest_run(np.array(values)) == longest
 
 
 def test_a_kink_is_a_step_beyond_its_neighbours() -> None:
@@ -136,17 +138,17 @@ def test_a_kink_is_a_step_beyond_its_neighbours() -> None:
     line = 2.0 * np.arange(40.0)[:, None] + [[0.0, 5.0]]
     line[:, 0] += np.where(np.arange(40) >= 20, 10.0, 0.0)
     regular = np.ones(39, dtype=bool)
-    sizes, _ = data_check._kinks(line, regular)
+    sizes, _ = sudden_changes._kinks(line, regular)
     assert np.flatnonzero(sizes[:, 0]).tolist() == [20] and sizes[20, 0] == pytest.approx(10.0)
     assert not sizes[:, 1].any()
     regular[19] = False
-    assert not data_check._kinks(line, regular)[0].any()
+    assert not sudden_changes._kinks(line, regular)[0].any()
 
 
 def test_a_spike_is_no_step() -> None:
     values = np.zeros((40, 1))
     values[20] = 10.0
-    assert not data_check._kinks(values, np.ones(39, dtype=bool))[0].any()
+    assert not sudden_changes._kinks(values, np.ones(39, dtype=bool))[0].any()
 
 
 # --- limits

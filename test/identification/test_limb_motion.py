@@ -12,7 +12,8 @@ from support.problems import make_samples
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.data_check import DataFinding, check_data
+from socket_testbed.identification.data_check import check_data
+from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.limb_motion import AXES, OPPOSITE, limb_motion, mirrored_forces
 from socket_testbed.samples import Samples
 from socket_testbed.simulation.trial import SimulatedTrial, simulate, write_simulated_trial
