@@ -124,7 +124,9 @@ def clear_delay(
     left = {lag: unexplained(lag) for lag in range(-limit, limit + 1)}
     best = min(left, key=lambda lag: (left[lag], abs(lag)))
     gain = 0.5 * np.log(left[0] / left[best])
-    return best * period if 1.0 - left[best] > least[0] and gain > least[1] else 0.0
+    is_clear = 1.0 - left[best] > least[0] and gain > least[1]
+    # At the end of the range the fit may still improve: no delay is found.
+    return best * period if is_clear and abs(best) < limit else 0.0
 
 
 def drift_of(courses: FloatArray, causes: FloatArray, time: FloatArray) -> FloatArray:

@@ -176,7 +176,7 @@ NUMBERS = {
     ),
     "force_map": (
         f"draws {ForceMapSettings.draws} hypotheses",
-        f"evidence to the power {force_map._EVIDENCE_POWER:g}",
+        f"evidence to the power {force_map.EVIDENCE_POWER:g}",
         f"+- {force_map._TILE_SHARE_SPREAD:g} (`tile_share`",
     ),
 }

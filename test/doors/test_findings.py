@@ -133,7 +133,7 @@ CASES: dict[str, tuple[str, Callable[[np.ndarray], object], str, str]] = {
         "the limb does not sink as it is loaded: it moves at",
     ),
     "disagreeing cluster": (
-        *("local_forces", times(ALL, DISTAL, Z, factor=4.0), "distal"),
+        *("local_forces", times(ALL, DISTAL, Z, factor=5.0), "distal"),
         "kPa where the others and the wrench say",
     ),
     "missing wrench": (
