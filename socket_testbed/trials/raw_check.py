@@ -47,7 +47,7 @@ from socket_testbed.wire.cdr import decode, stamp_of
 from socket_testbed.wire.messages import Reader
 
 MAX_MISMATCH = 0.002  # [-]; of a wrench from its ratios, relative to the full scale; sound 1e-6
-MAX_SAME = 0.5  # [-]; share of samples in which two inputs read the same; sound 0.0
+MAX_SAME = 0.5  # [-]; share of its changes in which an input reads as another; sound 0.0
 MAX_REPEATED = 0.1  # [-]; share of readings that repeat the one before; sound 0.0
 NOISE_RATIO = 8.0  # [-]; of an input's noise to that of its cluster's others; sound up to 1.6
 MIN_INPUT_NOISE = 0.01  # [pF]; sound 0.002
@@ -316,18 +316,24 @@ def _noisy_inputs(measured: Measurements) -> Iterator[DataFinding]:
 
 
 def _same_inputs(measured: Measurements) -> Iterator[DataFinding]:
-    """Inputs that read the same as another one, of their cluster or of an earlier one."""
+    """Inputs that read the same as another one of their cluster, or as all four of an earlier one.
+
+    Only values that change count: coarse readings of clusters at rest may well be equal.
+    """
     names = [(name, channel) for name in measured.clusters for channel in range(4)]
     columns = measured.capacitance.reshape(len(measured.stamps), -1).T
     found: dict[tuple[str, str], list[int]] = {}
     for (one, (name, channel)), (other, (its, _)) in combinations(enumerate(names), 2):
         known = np.isfinite(columns[[one, other]]).all(axis=0)
-        own = columns[one][known]
-        if len(own) < LEAST_CHECKED or not np.ptp(own):  # standing still is reported elsewhere
+        own, its_own = columns[one][known], columns[other][known]
+        changed = np.flatnonzero(np.diff(own)) + 1  # standing still is reported elsewhere
+        if len(changed) < LEAST_CHECKED:
             continue
-        if np.mean(own == columns[other][known]) > MAX_SAME:
+        if np.mean(own[changed] == its_own[changed]) > MAX_SAME:
             found.setdefault((its, name), []).append(channel)
     for (name, its), channels in found.items():
+        if its != name and len(channels) < 4:  # one may be equal by chance
+            continue
         inputs = "an input reads" if len(channels) == 1 else f"{len(channels)} inputs read"
         yield DataFinding(
             name,

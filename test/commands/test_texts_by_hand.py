@@ -583,4 +583,4 @@ def test_a_shown_trial_says_where(
     )
     ((given, at),) = asked
     assert given == (Path("s01"), Path("m.json"))
-    assert at == {"host": "127.0.0.1", "port": 8081, "names": ("lab",)}
+    assert at == {"host": "127.0.0.1", "port": 8081, "names": ("lab",), "prior": None}

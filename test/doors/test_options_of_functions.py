@@ -841,9 +841,10 @@ def of_choices(name: str) -> tuple[str, ...]:
     return tuple(each for each in OF_FIT if each not in but[name]) if name in but else ()
 
 
-# The effect of each option of `import_trial` is in test_imports.py and test_imported_tables.py.
+# The effects of their options are in test_imports.py, test_imported_tables.py, test_own_law.py.
+ELSEWHERE = {"import_trial", "register_law"}
 FUNCTIONS = {
-    name: getattr(st, name) for name in st.__all__ if name.islower() and name != "import_trial"
+    name: getattr(st, name) for name in st.__all__ if name.islower() and name not in ELSEWHERE
 }
 
 

@@ -466,6 +466,7 @@ CASES: dict[str, Cases] = {
         "wrench_of": ("--wrench-of socket", {"wrench_of": "socket"}),
         "tare": ("--tare 0:3", {"tare": "0:3"}),
         "mapping": ("--mapping mapping.yaml", {"mapping": "mapping.yaml"}),
+        "like": ("--like trials/s01", {"like": "trials/s01"}),
         "geometry": ("--geometry socket.yaml", {"geometry": "socket.yaml"}),
         "calibration": ("--calibration calibration.yaml", {"calibration": "calibration.yaml"}),
     },
