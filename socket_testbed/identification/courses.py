@@ -36,10 +36,9 @@ MAX_POSE_LAG = 0.3  # [s]; of the pose behind the moments; sound <= 0.12
 MIN_POSE_FIT = 0.8  # [-]; their correlation with that lag
 MAX_CLUSTER_LAG = 0.6  # [s]; of a cluster behind load and indentation
 MIN_DELAY_TIME, MIN_DELAY_SAMPLES = 30.0, 100  # [s], [1]; of a trial, to search it for delays
-# [-]; of a cluster, and of a pose without pushes: share of the variance explained with that delay,
-# and the fall of log(1 - share) / 2 by it; sound gains up to 0.36 and 0.18 of delays beyond 0.35 s
+# [-]; of a cluster: share of the variance explained with that delay, and the fall of
+# log(1 - share) / 2 by it; sound gains up to 0.36 of delays beyond 0.35 s
 MIN_CLUSTER_DELAY = (0.8, 0.5)
-MIN_POSE_DELAY = (0.6, 0.3)
 # [-]; standard deviation of the clusters' total force over that of the load; the upper limit is
 # relative to the clusters' share of the socket's area; sound 0.03 to 0.18, that is up to 3.4
 LOCAL_SHARE = (0.001, 10.0)
@@ -211,20 +210,7 @@ class Courses:
         clear = fit > max(at_once + max(gain, MIN_LAG_GAIN), MIN_POSE_FIT)
         if clear and abs(lag) > max(MAX_POSE_LAG, 1.5 * period):
             return lag
-        return 0.0 if self.is_pushed else self._delay_of_pose
-
-    @cached_property
-    def _delay_of_pose(self) -> float:
-        """Delay of the limb's horizontal motion behind the wrench; 0 if it is short [s]."""
-        samples = self.samples
-        known = samples.has_pose & np.isfinite(samples.wrench).all(axis=1)
-        if not self.is_long:
-            return 0.0
-        causes = np.column_stack([samples.time, samples.wrench])[known]
-        delay = clear_delay(
-            samples.pose[known][:, [0, 1, 3, 4]], causes, self.period, MIN_POSE_DELAY
-        )
-        return delay if abs(delay) > max(MAX_CLUSTER_LAG, 2.5 * self.period) else 0.0
+        return 0.0
 
     @cached_property
     def is_long(self) -> bool:
