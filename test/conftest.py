@@ -31,6 +31,11 @@ LONG = {
     *("doors/test_report_page.py", "doors/test_comparison.py", "doors/test_donnings.py"),
     *("doors/test_comparison_notes.py", "identification/test_data_check.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
+    *("calibration/test_bench.py", "calibration/test_bench_by_hand.py", "test_bench_file.py"),
+    *("identification/test_limb_motion.py", "identification/test_force_map.py"),
+    *("trials/test_raw_check.py", "trials/test_reprocess.py", "socket_design/test_scan_file.py"),
+    *("doors/test_fewer_parts.py", "doors/test_imports.py", "doors/test_imported_tables.py"),
+    *("doors/test_options_of_live_verbs.py", "simulation/test_simulation.py", "test_notebook.py"),
 }
 
 
