@@ -11,8 +11,9 @@ offsets are drawn anew each time. Errors are over the RMS of the true forces on 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -30,6 +31,8 @@ from socket_testbed.simulation.trial import SimulatedTrial, simulate
 _DURATION, _RATE = 60.0, 1.0  # [s], [Hz]; of the hold
 LOADED = slice(15, 48)
 """Samples of the hold under load."""
+Found = TypeVar("Found")
+"""What a benchmark finds of one limb."""
 
 
 def places(geometry: SocketGeometry, count: int) -> list[list[int]]:
@@ -168,31 +171,51 @@ def survey_limb(
     )
 
 
-def main() -> None:
-    """Survey the limbs and print a row for each tissue and donning."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[*range(400, 406)], help="limbs")
-    parser.add_argument(
-        "--shares", type=float, nargs="+", default=[0.0, 0.1, 0.2, 0.4], help="of donning [-]"
-    )
+def print_rows(
+    description: str,
+    header: str,
+    seeds: Sequence[int],
+    shares: Sequence[float],
+    judge_limb: Callable[[SocketGeometry, Calibration, TissueKind, float, int], Found],
+    row_of: Callable[[Sequence[Found]], str],
+) -> None:
+    """Judge limbs as the command line says, and print a row for each tissue and donning.
+
+    Args:
+        description: What the benchmark does, for its help and its first lines.
+        header: Titles of the columns.
+        seeds: The limbs, if no others are asked for.
+        shares: How much donnings differ, if nothing else is asked for [-].
+        judge_limb: Judges one limb: of a socket, calibration, tissue, share and seed.
+        row_of: The row of several limbs.
+    """
+    parser = argparse.ArgumentParser(description=description.partition("\n")[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[*seeds], help="limbs")
+    parser.add_argument("--shares", type=float, nargs="+", default=[*shares], help="of donning [-]")
     parser.add_argument("--tissues", nargs="+", default=["soft", "stiff"], help="soft, stiff")
     options = parser.parse_args()
     geometry = read_socket(packaged("config", "socket.yaml"))
     calibration = read_calibration(packaged("config", "calibration.yaml"))
-    print(__doc__)
-    print(
-        "tissue donning | true, judged: mean, judged/true by limb; interval holds; before"
-        " correction; 95 % hold | repeats, change | own, completed by 2, 4, 4 + a repeat; limb;"
-        " stated; 95 % hold"
-    )
+    print(description)
+    print(header)
     for tissue in options.tissues:
         for share in options.shares:
             with threadpool_limits(1):
                 found = [
-                    survey_limb(geometry, calibration, tissue, share, seed)
-                    for seed in options.seeds
+                    judge_limb(geometry, calibration, tissue, share, seed) for seed in options.seeds
                 ]
-            print(f"{tissue:<6} {100 * share:3.0f} %   | {_row(found)}", flush=True)
+            print(f"{tissue:<6} {100 * share:3.0f} %   | {row_of(found)}", flush=True)
+
+
+def main() -> None:
+    """Survey the limbs and print a row for each tissue and donning."""
+    header = (
+        "tissue donning | true, judged: mean, judged/true by limb; interval holds; before"
+        " correction; 95 % hold | repeats, change | own, completed by 2, 4, 4 + a repeat; limb;"
+        " stated; 95 % hold"
+    )
+    shares = (0.0, 0.1, 0.2, 0.4)
+    print_rows(__doc__ or "", header, range(400, 406), shares, survey_limb, _row)
 
 
 def _row(found: Sequence[Surveyed]) -> str:

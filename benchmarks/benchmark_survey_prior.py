@@ -12,18 +12,15 @@ time. Errors are over the RMS of the true forces, on the tiles that no trial mea
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from benchmark_survey import LOADED, hold_of, measured_values, places
-from threadpoolctl import threadpool_limits
+from benchmark_survey import LOADED, hold_of, measured_values, places, print_rows
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.calibration.model import Calibration, read_calibration
-from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.calibration.model import Calibration
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap
 from socket_testbed.identification.survey import Donned, JointMap, match_loads
 from socket_testbed.identification.survey_prior import SurveyPrior, learnt
@@ -143,27 +140,11 @@ def judge_limb(
 
 def main() -> None:
     """Judge the limbs and print a row for each tissue and donning."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[*range(600, 606)], help="limbs")
-    parser.add_argument(
-        "--shares", type=float, nargs="+", default=[0.1, 0.4], help="of donning [-]"
-    )
-    parser.add_argument("--tissues", nargs="+", default=["soft", "stiff"], help="soft, stiff")
-    options = parser.parse_args()
-    geometry = read_socket(packaged("config", "socket.yaml"))
-    calibration = read_calibration(packaged("config", "calibration.yaml"))
-    print(__doc__)
-    print(
+    header = (
         "tissue donning | error without, with a survey of 2, of 4, of another limb; by limb, over"
         " that without | 95 % intervals hold | probability of the survey's prior"
     )
-    for tissue in options.tissues:
-        for share in options.shares:
-            with threadpool_limits(1):
-                found = [
-                    judge_limb(geometry, calibration, tissue, share, seed) for seed in options.seeds
-                ]
-            print(f"{tissue:<6} {100 * share:3.0f} %   | {_row(found)}", flush=True)
+    print_rows(__doc__ or "", header, range(600, 606), (0.1, 0.4), judge_limb, _row)
 
 
 def _row(found: Sequence[Sequence[Judged]]) -> str:

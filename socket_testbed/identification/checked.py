@@ -145,7 +145,6 @@ class CheckedSamples:
         Raises:
             IdentificationError: If the samples are in another unit or frame.
         """
-        plausibility.require_units(self.measured, self.geometry, self.leave_out)
         return self._map(settings, True, prior)
 
     def prior_map(self, settings: ForceMapSettings, prior: SurveyPrior | None = None) -> ForceMap:
@@ -165,6 +164,8 @@ class CheckedSamples:
             for other in [*self._maps]:
                 if other[2] not in (None, prior):  # a map with a survey is large
                     del self._maps[other]
+            if weighed:
+                plausibility.require_units(self.measured, self.geometry, self.leave_out)
             trial = self.counted if weighed else None
             clusters = self.measured.clusters
             surveyed = None if prior is None else prior.expected(self.geometry, clusters)

@@ -523,26 +523,23 @@ class ForceMap:
         forces, variances = np.empty((2, len(values), len(self._areas), 4))
         loads = self._loads(values, belief)
         for pattern, rows in _by_pattern(present):
-            found = [(self._conditioned(pattern), belief.ordinary)]
-            if belief.share:
-                found.append((self._conditioned(pattern, True), belief.surveyed))
-            averages = [
-                (conditioned[np.flatnonzero(weights)], weights[weights > 0.0])
-                for conditioned, weights in found
-            ]
+            likely = np.flatnonzero(belief.ordinary)
+            conditioned, weights = self._conditioned(pattern)[likely], belief.ordinary[likely]
             for start in range(0, len(rows), _CHUNK):
                 chunk = rows[start : start + _CHUNK]
-                measured = values[chunk][:, averages[0][0].present]
-                forces[chunk], variances[chunk] = averages[0][0].average(measured, averages[0][1])
-                like = loads[chunk].any(axis=1)
-                if like.any():
-                    some = chunk[like]
-                    conditioned, weights = averages[1]
-                    both = np.hstack([measured[like], loads[some]])
-                    own = conditioned.average(both, weights)
-                    forces[some], variances[some] = _mixed(
-                        (forces[some], variances[some]), own, belief.share
-                    )
+                measured = values[chunk][:, conditioned.present]
+                forces[chunk], variances[chunk] = conditioned.average(measured, weights)
+            like = rows[loads[rows].any(axis=1)]
+            if not len(like):
+                continue
+            likely = np.flatnonzero(belief.surveyed)
+            conditioned, weights = self._conditioned(pattern, True)[likely], belief.surveyed[likely]
+            for start in range(0, len(like), _CHUNK):
+                chunk = like[start : start + _CHUNK]
+                measured = np.hstack([values[chunk][:, conditioned.present], loads[chunk]])
+                surveyed = conditioned.average(measured, weights)
+                ordinary = forces[chunk], variances[chunk]
+                forces[chunk], variances[chunk] = _mixed(ordinary, surveyed, belief.share)
         areas, deviations = self._areas, np.sqrt(variances)
         vectors, normal = forces[..., :3], forces[..., 3]
         across = vectors - normal[..., None] * self._normals
@@ -698,8 +695,7 @@ class ForceMap:
         They are in the tiles' frames, for an amplitude of 1, and what the channels of the pattern
         leave; `chosen` holds the bytes of the index of each draw's hypothesis, shape (D,).
         """
-        if self._survey is None:
-            return np.zeros((0, 3 * len(self._areas)))
+        assert self._survey is not None
         numbers = np.frombuffer(chosen, np.int64)
         drawn = np.random.default_rng(1).standard_normal((len(numbers), 3 * len(self._areas)))
         conditioned = self._conditioned(pattern, True)
@@ -983,9 +979,13 @@ def _normal_points(count: int, dimensions: int) -> FloatArray:
 
 def probabilities(log_evidence: FloatArray) -> FloatArray:
     """Probabilities of the hypotheses from their evidence, shape (M,) [-]; 0 for unlikely ones."""
-    weights = np.exp(EVIDENCE_POWER * (log_evidence - log_evidence.max()))
-    weights[weights < _MIN_WEIGHT] = 0.0
-    return np.asarray(weights / weights.sum())
+    return likely_ones(np.exp(EVIDENCE_POWER * (log_evidence - log_evidence.max())))
+
+
+def likely_ones(weights: FloatArray) -> FloatArray:
+    """Probabilities in proportion to weights of any shape [-]; 0 for unlikely hypotheses."""
+    found = np.where(weights < _MIN_WEIGHT * weights.max(), 0.0, weights)
+    return np.asarray(found / found.sum())
 
 
 class Prior:

@@ -55,6 +55,7 @@ from socket_testbed.identification.force_map import (
     Hypothesis,
     Prior,
     hypotheses,
+    likely_ones,
     probabilities,
 )
 from socket_testbed.identification.validation import LEVELS, close_wrench, inverse_distance
@@ -71,7 +72,6 @@ MODEL_ERROR = 0.15
 """Standard deviation of the logarithm of e for errors of the expected E over V [-]."""
 _WRENCH = len(WRENCH_CHANNELS)
 _RIDGE = 1e-3  # [-]; variance of the wrench that donning may change, relative to the prior's
-_MIN_WEIGHT = 2e-3  # of a hypothesis with an epsilon, relative to the likeliest
 _MAX_PLANNED = 12  # likeliest ones, for which places are compared
 _QUANTILE = 0.975  # of the upper end of a 95 % interval
 
@@ -453,9 +453,7 @@ def _weights(evidence: FloatArray, trials: int) -> FloatArray:
     of_change = np.exp(evidence - highest)
     total = of_change.sum(axis=1, keepdims=True)
     of_hypothesis = probabilities((highest + np.log(total)).ravel() / trials)
-    weights = of_hypothesis[:, None] * of_change / total
-    weights[weights < _MIN_WEIGHT * weights.max()] = 0.0
-    return np.asarray(weights / weights.sum())
+    return likely_ones(of_hypothesis[:, None] * of_change / total)
 
 
 def _gains(onto: FloatArray, channels: FloatArray) -> FloatArray:

@@ -37,6 +37,7 @@ from socket_testbed.identification.force_map import (
     Hypothesis,
     Prior,
     axes_of,
+    likely_ones,
 )
 from socket_testbed.identification.survey import MAX_MISMATCH, Donned, JointMap, Limb
 from socket_testbed.samples import FORCES, MOMENTS, WRENCH_CHANNELS
@@ -329,23 +330,14 @@ class Expected:
             before, after = logsumexp(log_weights[which]), logsumexp(joint[which])
             tempered = trials * before + EVIDENCE_POWER * (after - before)
             found[which] = joint[which] - after + tempered / (trials + 1)
-        found = np.exp(found - found.max())
-        found[found < _MIN_WEIGHT] = 0.0
-        return np.asarray(found / found.sum())
-
-
-_MIN_WEIGHT = 2e-3  # of a hypothesis with an epsilon, relative to the likeliest
+        return likely_ones(np.exp(found - found.max()))
 
 
 def _or_null(values: FloatArray) -> list[Any]:
     """Values as nested lists, None for NaN."""
-    found: list[Any] = values.tolist()
-    return [documents.finite_or_null(tuple(map(_tuples, each))) for each in found]
-
-
-def _tuples(values: Any) -> Any:
-    """Nested lists as nested tuples."""
-    return tuple(map(_tuples, values)) if isinstance(values, list) else values
+    found = values.astype(object)
+    found[~np.isfinite(values)] = None
+    return list(found.tolist())
 
 
 _Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -405,7 +397,8 @@ def read_survey(path: Path) -> SurveyPrior:
         at = f"{where}: hypotheses: {number}"
         if {*each.sizes} != names or len(each.weights) != len(found.changes):
             raise ConfigurationError(f"{at}: has other sizes or another number of weights", _AGAIN)
-        if min(each.sizes["length"], each.sizes["arm"], each.sizes["share"] - MIN_SHARE / 2) <= 0.0:
+        sizes = each.sizes
+        if min(sizes["length"], sizes["arm"]) <= 0.0 or sizes["share"] <= MIN_SHARE / 2:
             raise ConfigurationError(f"{at}: a length or the share is not positive", _AGAIN)
     weights = np.array([each.weights for each in found.hypotheses])
     if not weights.any():

@@ -215,6 +215,9 @@ class BagReader:
                 continue
             left = {connection.id: connection.msgcount for connection in connections}
             known = typestore().fielddefs
+            definitions = {
+                kind: text for kind, text in reader.definitions.items() if kind not in known
+            }
             try:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
@@ -222,7 +225,7 @@ class BagReader:
                     if content.startswith(ZSTD_MAGIC):
                         content = zstd.decompress(content)
                     kind = connection.msgtype
-                    definition = "" if kind in known else reader.definitions.get(kind, "")
+                    definition = definitions.get(kind, "")
                     yield RawMessage(connection.topic, kind, time, content, definition)
             except Exception as error:  # the library may raise any exception
                 raise _damaged(file, error) from None

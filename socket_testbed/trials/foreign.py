@@ -28,7 +28,6 @@ from socket_testbed.trials.rigid_bodies import (
     require_definition,
 )
 from socket_testbed.wire import cdr, topics
-from socket_testbed.wire.cdr import stamp_of
 
 Source: TypeAlias = Literal["wrench", "socket_pose", "pylon_pose", "clusters"]
 SOURCES: tuple[Source, ...] = get_args(Source)
@@ -323,7 +322,7 @@ def read_stamps(messages: Sequence[RawMessage], known: Layouts | None = None) ->
         known: Layouts of earlier messages, to which new ones are added; None for none.
     """
     if messages and messages[0].type in BODIES:
-        times = [stamp_of(own) or message.time for message, own in each_decoded(messages, [])]
+        times = [cdr.stamp_of(own) or message.time for message, own in each_decoded(messages, [])]
         return np.unique(np.array(times, dtype=np.int64))
     parts = [
         np.where(stamps == 0, arrivals, stamps)

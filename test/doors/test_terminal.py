@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from support import scene
 from support.clocks import FakeClock
+from support.natnet import capture_by_hand
 
 from socket_testbed import api, clocks
 from socket_testbed.__main__ import run
@@ -330,21 +331,10 @@ def test_motion_capture_is_in_hertz_and_milliseconds(
 ) -> None:
     clock = FakeClock(100.0)
     clock.install(monkeypatch)
-    client = SimpleNamespace(
-        start=lambda: None,
-        health=lambda now: (OK, ""),
-        server="Motive 3.1",
-        figures=lambda: {"rate": 119.9, "clock_uncertainty": 4.5e-4},
-        close=lambda: None,
-    )
     bodies = [SimpleNamespace(fault=""), SimpleNamespace(fault="marker 2 is hidden: look for it")]
-    tracker = SimpleNamespace(
-        add=None,
-        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
-        sample=lambda moment: bodies,
+    client = capture_by_hand(
+        monkeypatch, clock, lambda moment: bodies, rate=119.9, uncertainty=4.5e-4
     )
-    monkeypatch.setattr(doctor, "NatNetClient", lambda settings, add: client)
-    monkeypatch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
     write_socket(scene.geometry(), tmp_path / "socket.yaml")
     testbed = make_testbed()
     testbed.geometry = tmp_path / "socket.yaml"

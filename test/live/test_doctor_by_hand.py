@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support import scene
 from support.clocks import FakeClock
+from support.natnet import capture_by_hand
 
 from socket_testbed import clocks
 from socket_testbed.drivers import OK, WARN
@@ -186,26 +187,14 @@ def test_a_warning_of_the_stream_is_a_row(
     clock: FakeClock, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The server has three seconds to be well; then the bodies are looked at."""
-    client = SimpleNamespace(
-        start=lambda: None,
-        health=lambda now: (WARN, "12 datagrams damaged: check the network"),
-        server="Motive 3.1",
-        figures=lambda: {"rate": 240.4, "clock_uncertainty": 1.234e-5},
-        close=lambda: None,
-    )
     moments: list[float] = []
 
     def sample(moment: float) -> Any:
         moments.append(moment)
         return [SimpleNamespace(fault="")] * 2
 
-    tracker = SimpleNamespace(
-        add=None,
-        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
-        sample=sample,
-    )
-    monkeypatch.setattr(doctor, "NatNetClient", lambda settings, add: client)
-    monkeypatch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
+    client = capture_by_hand(monkeypatch, clock, sample, rate=240.4, uncertainty=1.234e-5)
+    client.health = lambda now: (WARN, "12 datagrams damaged: check the network")
     settings = MocapSettings(server="10.0.0.5", command_port=1511, stale=0.4, pylon_body="leg")
     assert [*doctor.check_motion_capture(made_testbed(tmp_path, mocap_node=settings))] == [
         Outcome("motion capture", "Motive 3.1, 240 Hz, at 10.0.0.5:1511"),
@@ -231,13 +220,6 @@ def test_late_frames_do_not_fail_the_bodies(
     tmp_path: Path,
 ) -> None:
     """A busy network's late frame is no untracked body: the bodies have a second to be seen."""
-    client = SimpleNamespace(
-        start=lambda: None,
-        health=lambda now: (OK, ""),
-        server="Motive 3.1",
-        figures=lambda: {"rate": 240.0, "clock_uncertainty": 1e-5},
-        close=lambda: None,
-    )
     looks = 0
 
     def sample(moment: float) -> Any:
@@ -245,13 +227,7 @@ def test_late_frames_do_not_fail_the_bodies(
         looks += 1
         return [SEEN, LATE if looks <= bad_looks else SEEN]
 
-    tracker = SimpleNamespace(
-        add=None,
-        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
-        sample=sample,
-    )
-    monkeypatch.setattr(doctor, "NatNetClient", lambda settings, add: client)
-    monkeypatch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
+    capture_by_hand(monkeypatch, clock, sample, rate=240.0, uncertainty=1e-5)
     settings = MocapSettings(server="10.0.0.5", stale=0.05)
     *_, pylon = doctor.check_motion_capture(made_testbed(tmp_path, mocap_node=settings))
     assert pylon.found == ("its 3 markers are seen" if is_found else LATE.fault)

@@ -3,17 +3,22 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
+from socket_testbed.drivers import OK
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
+from socket_testbed.live import doctor
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from support import HANGS
+from support.clocks import FakeClock
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD
 
 _POLL = 0.005  # [s]
@@ -119,3 +124,31 @@ class Link:
             if not any(body.fault for body in sample):
                 off = [body.markers - markers_at(n, trigger) for n, body in enumerate(sample)]
                 return float(np.linalg.norm(off, axis=2).max())
+
+
+def capture_by_hand(
+    patch: pytest.MonkeyPatch,
+    clock: FakeClock,
+    sample: Callable[[float], Any],
+    rate: float,
+    uncertainty: float,
+) -> SimpleNamespace:
+    """Give `doctor` a client that is well, at a rate [Hz] with a clock known so well [s].
+
+    `sample` is what its tracker sees at a time; waiting for it takes until the deadline.
+    """
+    client = SimpleNamespace(
+        start=lambda: None,
+        health=lambda now: (OK, ""),
+        server="Motive 3.1",
+        figures=lambda: {"rate": rate, "clock_uncertainty": uncertainty},
+        close=lambda: None,
+    )
+    tracker = SimpleNamespace(
+        add=None,
+        wait=lambda trigger, deadline: clock.sleep(deadline - trigger),
+        sample=sample,
+    )
+    patch.setattr(doctor, "NatNetClient", lambda settings, add: client)
+    patch.setattr(doctor, "BodyTracker", lambda settings, *markers: tracker)
+    return client
