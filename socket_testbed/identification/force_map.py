@@ -329,11 +329,13 @@ class Surveyed(Protocol):
 
     Attributes:
         name: The survey in words.
+        doubt: Why it may make the map worse; empty if nothing says so.
         weights: Probabilities of its hypotheses, shape (T,) [-].
         family: What they say at each of s loads.
     """
 
     name: str
+    doubt: str
     weights: FloatArray
     family: Family
 
@@ -755,6 +757,8 @@ class ForceMap:
             if like < len(values):
                 prior += f" in {like} of {len(values)} samples, whose loads are like the survey's"
             prior += "; otherwise mean zero"
+            if self._survey.doubt:
+                prior += f"; {self._survey.doubt}"
         return f"prior: {prior}; measured: {', '.join(parts) or 'nothing'}"
 
 

@@ -624,16 +624,15 @@ def judge(
         own += (field.deviations[:, bare] ** 2).sum(), (full.forces[:, bare] ** 2).sum()
         bare = _bare(geometry, measured_anywhere)
         of_own += (full.deviations[:, bare] ** 2).sum(), (full.forces[:, bare] ** 2).sum()
-    repeated, repeats, explained = _explained(trials, points, by_tile)
     return Judgements(
         points=points,
         error=_root(ratio, own[0] / own[1]),
         completed=_root(
             _ratio(*joint.left_out().T), of_own[0] / of_own[1] if of_own[1] else np.nan
         ),
-        explained=explained,
-        repeated=repeated,
-        repeats=repeats,
+        explained=_explained(trials, points, by_tile),
+        repeated=repeated_difference(trials),
+        repeats=repeats_by_tile(trials)[1],
     )
 
 
@@ -726,12 +725,15 @@ def _root(ratio: tuple[float, float, int], square: float) -> Interval:
     return _interval(float(np.sqrt(found * square)), total, freedom)
 
 
-def _explained(
-    trials: Sequence[Donned], points: Sequence[JudgedPoint], by_tile: FloatArray
-) -> tuple[float, int, Interval]:
-    """RMS difference of repeats over the forces, their number, and the share they explain.
+def repeats_by_tile(trials: Sequence[Donned]) -> tuple[FloatArray, int]:
+    """Differences between donnings of what clusters left in place measure.
 
-    Without repeats, the share is that of the joint map.
+    Args:
+        trials: What each of J trials measured at S states.
+
+    Returns:
+        Squared differences, and the mean squares of the two forces, summed over states and pairs,
+        by tile on which two trials measured, shape (t, 2) [N^2]; and the number of pairs.
     """
     squares: dict[int, list[tuple[float, float]]] = {}
     for one, two in combinations(trials, 2):
@@ -740,15 +742,35 @@ def _explained(
             if np.isfinite(a - b).all():
                 pair = float(((a - b) ** 2).sum()), float(0.5 * (a**2 + b**2).sum())
                 squares.setdefault(tile, []).append(pair)
-    if not squares:
+    sums = [np.sum(each, axis=0) for each in squares.values()]
+    return np.reshape(sums, (-1, 2)), sum(map(len, squares.values()))
+
+
+def repeated_difference(trials: Sequence[Donned]) -> float:
+    """RMS difference between two donnings of clusters left in place, over the RMS of the forces.
+
+    NaN if no cluster was left in place [-].
+
+    Args:
+        trials: What each of J trials measured at S states.
+    """
+    by_tile, count = repeats_by_tile(trials)
+    different, forces = by_tile.sum(axis=0)
+    return float(np.sqrt(different / forces)) if count else float("nan")
+
+
+def _explained(
+    trials: Sequence[Donned], points: Sequence[JudgedPoint], by_tile: FloatArray
+) -> Interval:
+    """Share of the judged square that repeats explain; without repeats, that of the joint map."""
+    repeats, count = repeats_by_tile(trials)
+    if not count:
         expected = np.array([[point.expected, point.mapped] for point in points]).sum(axis=0)
         share = float(1.0 - expected[1] / expected[0])
-        return float("nan"), 0, Interval(share, float("nan"), float("nan"))
-    sums = np.array([np.sum(each, axis=0) for each in squares.values()])
-    repeated, repeated_error, freedom = _ratio(sums[:, 0], sums[:, 1])
+        return Interval(share, float("nan"), float("nan"))
+    repeated, repeated_error, freedom = _ratio(repeats[:, 0], repeats[:, 1])
     judged, judged_error, others = _ratio(by_tile[:, 0], by_tile[:, 2])
     found = _interval(
         repeated / judged, float(np.hypot(repeated_error, judged_error)), min(freedom, others)
     )
-    capped = Interval(*(min(each, 1.0) for each in (found.value, found.low, found.high)))
-    return float(np.sqrt(repeated)), sum(map(len, squares.values())), capped
+    return Interval(*(min(each, 1.0) for each in (found.value, found.low, found.high)))

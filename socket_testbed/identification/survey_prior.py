@@ -39,7 +39,13 @@ from socket_testbed.identification.force_map import (
     axes_of,
     likely_ones,
 )
-from socket_testbed.identification.survey import MAX_MISMATCH, Donned, JointMap, Limb
+from socket_testbed.identification.survey import (
+    MAX_MISMATCH,
+    Donned,
+    JointMap,
+    Limb,
+    repeated_difference,
+)
 from socket_testbed.samples import FORCES, MOMENTS, WRENCH_CHANNELS
 from socket_testbed.settings.identification import MIN_SHARE
 
@@ -54,6 +60,10 @@ UNITS = {
 """Unit and frame of each field of the file."""
 MAX_SCALE = 1.5
 """Largest ratio of a load to one of the survey, either way, that counts as like [-]."""
+MAX_REPEATED = 0.4
+"""Difference between repeats in place from which a survey made maps worse, over the force [-].
+
+Measured on simulated limbs, see docs/survey.md."""
 _WRENCH = len(WRENCH_CHANNELS)
 _AGAIN = "survey the trials again"
 _GIVE = "give a file that 'survey -o FILE.json' wrote"
@@ -87,6 +97,17 @@ class SurveyPrior:
     def name(self) -> str:
         """The survey in words, such as `survey of a, b`."""
         return f"survey of {', '.join(self.trials)}"
+
+    @property
+    def doubt(self) -> str:
+        """Why the survey may make the map of another trial worse; empty if nothing says so."""
+        repeated = repeated_difference(self.donned)
+        if not repeated >= MAX_REPEATED:  # also without repeats in place
+            return ""
+        return (
+            f"its repeats in place differ by {repeated:.2f} of the force, so that it may make the"
+            " map worse"
+        )
 
     def require(self, where: str, geometry: SocketGeometry, fingerprint: str) -> None:
         """Refuse a trial of another socket, and one of the survey's own.
@@ -189,6 +210,7 @@ class Expected:
 
     Attributes:
         name: The survey in words.
+        doubt: Why it may make the map worse; empty if nothing says so.
         weights: Probabilities of the hypotheses, shape (T,) [-].
         family: What they say at each of the S loads.
     """
@@ -196,7 +218,7 @@ class Expected:
     def __init__(
         self, survey: SurveyPrior, geometry: SocketGeometry, clusters: tuple[str, ...]
     ) -> None:
-        self.name = survey.name
+        self.name, self.doubt = survey.name, survey.doubt
         self._survey, self._geometry, self._clusters = survey, geometry, clusters
         own = [geometry.clusters[name] for name in clusters]
         self._tiles = sorted({*own, *(tile for each in survey.donned for tile in each.tiles)})

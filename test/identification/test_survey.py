@@ -274,18 +274,19 @@ def test_repeats_tell_what_the_map_is_not_to_blame_for() -> None:
         for tiles, pair in zip(places, forces, strict=True)
     ]
     points = [point(5, -6.0, -9.0), point(7, -6.0, -9.0)]
-    repeated, count, share = survey._explained(donned, points, survey._sums(points))
-    assert count == 1
-    assert repeated == pytest.approx(2.0 / np.sqrt(82.0))  # 82 is the mean of 100 and 64
+    share = survey._explained(donned, points, survey._sums(points))
+    assert survey.repeats_by_tile(donned)[1] == 1
+    # 82 is the mean of 100 and 64.
+    assert survey.repeated_difference(donned) == pytest.approx(2.0 / np.sqrt(82.0))
     assert share.value == pytest.approx((4.0 / 82.0) / (9.0 / 36.0))
 
 
 def test_without_repeats_the_model_tells_the_share() -> None:
     points = [point(5, -6.0, -9.0), point(7, -6.0, -9.0)]
     donned = [Donned((5,), np.zeros((1, 9))), Donned((7,), np.zeros((1, 9)))]
-    repeated, count, share = survey._explained(donned, points, survey._sums(points))
-    assert count == 0
-    assert np.isnan(repeated)
+    share = survey._explained(donned, points, survey._sums(points))
+    assert survey.repeats_by_tile(donned)[1] == 0
+    assert np.isnan(survey.repeated_difference(donned))
     assert share.value == pytest.approx(0.25)  # 8 expected, 6 of the map
 
 

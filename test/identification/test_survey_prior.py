@@ -213,6 +213,32 @@ def test_other_loads_have_the_ordinary_map() -> None:
     assert ordinary.source(samples).startswith("prior: mean zero; measured: wrench, ")
 
 
+def repeated_by(normal: float) -> SurveyPrior:
+    """A survey with one cluster left in place, which measured -8 N, then another normal force."""
+    return prior_by_hand(GEOMETRY, tiles=(0, 0), forces=((0.5, 0.0, -8.0), (0.5, 0.0, normal)))
+
+
+@pytest.mark.parametrize(
+    ("prior", "doubt"),
+    [
+        pytest.param(prior_by_hand(GEOMETRY), "", id="no repeat"),
+        pytest.param(repeated_by(-12.0), "", id="0.39"),  # 4 / sqrt((64.25 + 144.25) / 2)
+        pytest.param(
+            repeated_by(-13.0),  # 5 / sqrt((64.25 + 169.25) / 2)
+            "its repeats in place differ by 0.46 of the force, so that it may make the map worse",
+            id="0.46",
+        ),
+    ],
+)
+def test_unlike_repeats_put_a_survey_in_doubt(prior: SurveyPrior, doubt: str) -> None:
+    assert prior.doubt == doubt
+    samples = samples_of(trials()[-1])
+    geometry = placed(trials()[-1])
+    mapped = ForceMap(geometry, NAMES, ONE, samples, prior.expected(geometry, NAMES))
+    assert doubt in mapped.source(samples)
+    assert ("repeats in place" in mapped.source(samples)) == bool(doubt)
+
+
 # ------------------------------------------------------------------ the file
 
 
