@@ -17,8 +17,11 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from socket_testbed.__main__ import run
 from socket_testbed.identification.contact import LAWS
+from socket_testbed.live.processes import graph_environment
 from socket_testbed.settings import identification
 from socket_testbed.settings.fields import renew_choices
+
+os.environ |= graph_environment()  # the tests' own nodes hear as those of a graph do
 
 _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others use
 

@@ -61,7 +61,7 @@ UNITS = {
 MAX_SCALE = 1.5
 """Largest ratio of a load to one of the survey, either way, that counts as like [-]."""
 MAX_REPEATED = 0.4
-"""Difference between repeats in place from which a survey made maps worse, over the force [-].
+"""Difference between repeats in place from which a survey can make maps worse, over the force [-].
 
 Measured on simulated limbs, see docs/survey.md."""
 _WRENCH = len(WRENCH_CHANNELS)

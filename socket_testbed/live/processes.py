@@ -32,6 +32,8 @@ RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 _THREADS = "OPENBLAS_NUM_THREADS"  # numpy reads it when it is first imported
 # Fast DDS; newer versions read the second name.
 _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+# Without shared memory, as in config/loopback.xml, where the graph may leave this machine.
+_TRANSPORTS, _NO_SHARED_MEMORY = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
 
 SPARE = "spare"  # name of the process that stands by to replace a killed node
 
@@ -133,10 +135,13 @@ def graph_environment() -> dict[str, str]:
     small: a second thread of linear algebra waits for busy cores much longer than it helps.
     """
     found = {_THREADS: os.environ.get(_THREADS, "1")}
+    own_transports = any(name in os.environ for name in (*_PROFILE_VARIABLES, _TRANSPORTS))
     if os.environ.get(RANGE, _LOCAL) == _LOCAL:
         found[RANGE] = _LOCAL
-        if not any(name in os.environ for name in _PROFILE_VARIABLES):
+        if not own_transports:
             found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
+    elif not own_transports:
+        found[_TRANSPORTS] = _NO_SHARED_MEMORY
     return found
 
 

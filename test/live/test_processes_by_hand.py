@@ -80,15 +80,21 @@ VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_BUILTIN_TRANSPORTS",
 )
 LOOPBACK = str(packaged("config", "loopback.xml"))
 ENVIRONMENTS: dict[str, tuple[dict[str, str], tuple[str | None, ...]]] = {
-    "none": ({}, ("1", "LOCALHOST", LOOPBACK, LOOPBACK)),
-    "threads": ({VARIABLES[0]: "4"}, ("4", "LOCALHOST", LOOPBACK, LOOPBACK)),
-    "this machine": ({VARIABLES[1]: "LOCALHOST"}, ("1", "LOCALHOST", LOOPBACK, LOOPBACK)),
-    "network": ({VARIABLES[1]: "SUBNET"}, ("1", None, None, None)),
-    "own profile": ({VARIABLES[3]: "own.xml"}, ("1", "LOCALHOST", None, None)),
-    "own older profile": ({VARIABLES[2]: "own.xml"}, ("1", "LOCALHOST", None, None)),
+    "none": ({}, ("1", "LOCALHOST", LOOPBACK, LOOPBACK, None)),
+    "threads": ({VARIABLES[0]: "4"}, ("4", "LOCALHOST", LOOPBACK, LOOPBACK, None)),
+    "this machine": ({VARIABLES[1]: "LOCALHOST"}, ("1", "LOCALHOST", LOOPBACK, LOOPBACK, None)),
+    "network": ({VARIABLES[1]: "SUBNET"}, ("1", None, None, None, "UDPv4")),
+    "network, own transports": (
+        {VARIABLES[1]: "SUBNET", VARIABLES[4]: "DEFAULT"},
+        ("1", None, None, None, None),
+    ),
+    "own profile": ({VARIABLES[3]: "own.xml"}, ("1", "LOCALHOST", None, None, None)),
+    "own older profile": ({VARIABLES[2]: "own.xml"}, ("1", "LOCALHOST", None, None, None)),
+    "own transports": ({VARIABLES[4]: "SHM"}, ("1", "LOCALHOST", None, None, None)),
 }
 
 

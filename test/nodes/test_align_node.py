@@ -112,8 +112,8 @@ def test_only_the_nodes_that_are_needed_run(lab: Lab) -> None:
 
 
 def test_a_source_that_stops_is_named_and_others_go_on(lab: Lab) -> None:
-    (line,) = {said.split(" for ")[0] for said in lab.said if "is silent" in said}
-    assert line == f"wrench: {WRENCH} is silent"
+    # On a busy machine another source may be silent for a moment as well.
+    assert any(said.startswith(f"wrench: {WRENCH} is silent for ") for said in lab.said)
     assert len(lab.after) > 15
 
 
