@@ -28,7 +28,7 @@ UP = np.tile([0.0, 0.0, 1.0], (STATES, 1))
 def judged(
     number: int, tile: str, distance: float, measured: float, estimated: float, rival: float
 ) -> JudgedPoint:
-    """A judged place with normal pressures [kPa] on 9 cm^2 and a deviation of 1 kPa."""
+    """A judged place with normal pressures [kPa] on 9 cm^2, a deviation of 1 kPa, and of shears."""
     to_force = -0.9  # [N/kPa]
     return JudgedPoint(
         trial=number,
@@ -38,7 +38,7 @@ def judged(
         distance=distance,
         measured=measured * to_force * UP,
         estimated=estimated * to_force * UP,
-        deviations=np.full((STATES, 3), 0.9),
+        deviations=np.tile([0.3, 0.6, 0.9], (STATES, 1)),
         rival=rival * to_force * UP,
         expected=1.0,
         mapped=0.5,

@@ -281,6 +281,18 @@ def test_repeats_tell_what_the_map_is_not_to_blame_for() -> None:
     assert share.value == pytest.approx((4.0 / 82.0) / (9.0 / 36.0))
 
 
+def test_repeats_explain_no_more_than_all() -> None:
+    """Clusters left in place differ by 4 of 10 and 6 N, more than the map does by 1 of 6 N."""
+    donned = [
+        Donned((0, 1), np.array([[*[0.0] * 6, 0.0, 0.0, -load, 0.0, 0.0, -load - 1.0]]))
+        for load in (10.0, 6.0)
+    ]
+    points = [point(5, -6.0, -7.0), point(7, -6.0, -7.0)]
+    share = survey._explained(donned, points, survey._sums(points))
+    assert share.value == share.high == 1.0
+    assert share.low <= 1.0
+
+
 def test_without_repeats_the_model_tells_the_share() -> None:
     points = [point(5, -6.0, -9.0), point(7, -6.0, -9.0)]
     donned = [Donned((5,), np.zeros((1, 9))), Donned((7,), np.zeros((1, 9)))]

@@ -1,5 +1,6 @@
 """What the readings of a trial show: each rule on a written trial, and the sound one is good."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -106,6 +107,11 @@ DAMAGED: dict[str, tuple[Damage, str, str]] = {
         "distal",
         "its inputs 0, 3 do not change for 9.8 s",
     ),
+    "inputs-one-for-longer": (
+        of_cluster("distal", lambda read: frozen(3, rows=ALL)(frozen(0)(read))),
+        "distal",
+        "its inputs 0, 3 do not change for 9.8 s",
+    ),
     "socket": (
         of_body("socket", frozen()),
         "the limb pose",
@@ -185,6 +191,16 @@ def test_a_written_trial_names_its_source(simulated, tmp_path: Path, case: str) 
     found = written(damage(simulated), tmp_path)
     assert any(name == source and fact in text for name, text in found), found
     assert {name for name, _ in found} <= {source, "the wrench"}, found
+
+
+def test_a_noisy_input_is_set_against_the_others(simulated, tmp_path: Path) -> None:
+    """0.1 pF, and simulated inputs have 0.002 pF."""
+    damage, _, _ = DAMAGED["noisy-input"]
+    texts = [text for _, text in written(damage(simulated), tmp_path) if "noise of its" in text]
+    (found,) = [re.search(r"is ([\d.]+) pF, (\d+) times that of its others", t) for t in texts]
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.1, rel=0.2)
+    assert float(found[2]) == pytest.approx(50.0, rel=0.3)
 
 
 def with_ratio(trial: SimulatedTrial, ratio: float, folder: Path) -> Trial:
