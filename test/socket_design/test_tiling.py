@@ -151,6 +151,9 @@ def test_each_further_cluster_lowers_the_error() -> None:
     assert errors == sorted(errors, reverse=True) and 0.0 < errors[-1] < errors[0] < 1.0
     low, high = found.at_random
     assert errors[-1] < high and low < high
+    fewer = clusters.place_clusters(GEOMETRY, 3, stay, allowed)
+    assert fewer.tiles.tolist() == tiles[:3]
+    assert fewer.errors[3] == pytest.approx(found.errors[3])
 
 
 # --- Whole tilings

@@ -87,6 +87,14 @@ def test_drop_outs_are_counted_by_measurement(samples: Samples) -> None:
     assert "of them in the segment [1]" not in description.drop_outs(samples).frame
 
 
+def test_the_longest_of_two_drop_outs_counts(samples: Samples) -> None:
+    """Fx lacks row 7 as well: 0.5 s beside 0.75 s."""
+    wrench = samples.wrench.copy()
+    wrench[7, 3] = np.nan
+    frame = description.drop_outs(replace(samples, wrench=wrench)).frame
+    assert frame.loc["Fx", ["missing [1]", "longest [s]"]].tolist() == [3, 0.75]
+
+
 def test_loads_of_parts_are_magnitudes(samples: Samples) -> None:
     """|(3, 4, 12)| = 13 N, |(0.3, 0.4, 0)| = 0.5 N m; 26 N in half of the second part."""
     samples.wrench[8:10] *= 2.0
