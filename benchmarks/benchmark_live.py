@@ -7,8 +7,8 @@ subscribes to the clusters' messages, decodes and publishes them, and does nothi
 `--foreign` other drivers' topics take the place of ours, which another program plays: a wrench at
 500 Hz, two poses at 100 Hz and capacitances at 20 Hz.
 
-Processor time is per trigger: on a machine that others use, a time scale below 1 lets the testbed
-keep up, and the figures are those of full speed.
+Processor time is per trigger. On a machine that others use, a time scale below 1 lets the testbed
+keep up; nodes then wake up more often for each trigger, so compare figures of one scale alone.
 """
 
 from __future__ import annotations
