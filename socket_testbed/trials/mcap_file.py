@@ -27,6 +27,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
 
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag_parts import (
@@ -98,6 +99,7 @@ class _Chunk:
         definitions: The message types and topics that it defines.
         sound: Whether it can be read completely; otherwise it counts as empty.
         checked: Whether a checksum confirms its content.
+        edges: Where its records begin and the last one ends in its content, (k + 1,) [bytes].
         counts: Number of its messages by channel.
         strays: Number of its messages whose recording time is far from those of the file.
         first_time: Earliest recording time of its messages since the epoch [ns]; 0 without any.
@@ -109,10 +111,12 @@ class _Chunk:
         self.place = place
         self.definitions: list[Schema | Channel] = []
         self.sound, self.checked = True, True
+        self.edges = np.zeros(1, np.int32)
         channels, times = np.empty(0, np.uint16), np.empty(0, np.uint64)
         try:
             content, self.checked = _unpack(file, place)
-            records = _Records(content)
+            self.edges = _edges(content)
+            records = _Records(content, self.edges)
             channels, times = records.channels, np.sort(records.times)
             for opcode, start, end in records.others:
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -264,7 +268,7 @@ class McapFile:
             serialised message. A time that is days from the others is that of the message before.
         """
         content, _ = _unpack(self._file, chunk.place)
-        records = _Records(content)
+        records = _Records(content, chunk.edges)
         times: list[int] = records.times.tolist()
         if chunk.strays:
             times = [*self._near_times(times, chunk.first_time)]
@@ -503,6 +507,10 @@ def _unpack(file: BinaryIO, place: _Place) -> tuple[bytes, bool]:
 class _Records:
     """The records of a chunk, whose k messages are read all at once.
 
+    Args:
+        content: The unpacked chunk.
+        edges: Where its records begin and end, see `_edges`.
+
     Attributes:
         channels: Numbers of the messages' channels, k of them.
         times: Recording times of the messages since the epoch [ns], k of them.
@@ -511,11 +519,10 @@ class _Records:
         others: Opcode, start and end [bytes] of the content of every other record.
 
     Raises:
-        ValueError: If a record or a message is torn.
+        ValueError: If a message is torn.
     """
 
-    def __init__(self, content: bytes) -> None:
-        edges = np.array(_edges(content))
+    def __init__(self, content: bytes, edges: NDArray[np.int32]) -> None:
         starts, ends = edges[:-1], edges[1:]
         opcodes = np.frombuffer(content, np.uint8)[starts]
         is_message = opcodes == Opcode.MESSAGE
@@ -531,8 +538,12 @@ class _Records:
         self.starts, self.ends = starts + _MESSAGE.itemsize, ends
 
 
-def _edges(content: bytes) -> list[int]:
-    """Where each record begins, and the last one ends [bytes]; raises an error if one is torn."""
+def _edges(content: bytes) -> NDArray[np.int32]:
+    """Where each of k records begins, and the last one ends, shape (k + 1,) [bytes].
+
+    Raises:
+        ValueError: If a record is torn.
+    """
     edge, edges = 0, [0]
     while edge < len(content):
         (length,) = _LENGTH.unpack_from(content, edge + 1)
@@ -540,7 +551,7 @@ def _edges(content: bytes) -> list[int]:
         edges.append(edge)
     if edge > len(content):
         raise ValueError("a record is torn")
-    return edges
+    return np.array(edges, np.int32)
 
 
 def _records(content: bytes) -> Iterator[tuple[int, int, int]]:
