@@ -183,7 +183,11 @@ def drift_of(courses: FloatArray, causes: FloatArray, time: FloatArray) -> Float
         causes: What explains them linearly, shape (N, m), each in its unit.
         time: Times of the samples, shape (N,) [s].
     """
-    known = np.isfinite(courses).all(axis=1) & np.isfinite(causes).all(axis=1)
+    present = np.isfinite(courses)
+    if (present != present[:, :1]).any():  # else one solution serves them all
+        each = [drift_of(course[:, None], causes, time) for course in courses.T]
+        return np.concatenate(each)
+    known = present.all(axis=1) & np.isfinite(causes).all(axis=1)
     if known.sum() < LEAST_CHECKED:
         return np.zeros(courses.shape[1])
     scaled = causes[known] - causes[known].mean(axis=0)

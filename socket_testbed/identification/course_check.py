@@ -294,9 +294,10 @@ def find_drifts(
         )
         return
     causes = np.hstack([samples.wrench, samples.pose])
-    for column, name in enumerate(samples.clusters):
-        pressure = -samples.trusted_forces[:, [column], 2] / geometry.areas[geometry.clusters[name]]
-        drift = float(drift_of(pressure, causes, time)[0])
+    tiles = [geometry.clusters[name] for name in samples.clusters]
+    pressures = -samples.trusted_forces[:, :, 2] / geometry.areas[tiles]
+    drifts = drift_of(pressures, causes, time).tolist()
+    for name, drift in zip(samples.clusters, drifts, strict=True):
         if abs(drift) > MAX_DRIFT and name not in stepped:
             yield DataFinding(
                 name,

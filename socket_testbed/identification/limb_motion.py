@@ -92,7 +92,12 @@ class LimbMotion:
             correlation [-], negative if the latter fit best.
         """
         turned, moment = self.rotation[:, :2], self.moment[:, :2]
-        found = {name: _alike(turned, moment @ axes) for name, axes in AXES.items()}
+        products = moment.T @ turned
+        size = np.sqrt((turned**2).sum() * (moment**2).sum())  # axes change no length
+        found = {
+            name: float((products * axes).sum() / size) if size > 0.0 else 0.0
+            for name, axes in AXES.items()
+        }
         best = max(found, key=lambda name: found[name])
         return best, found[best] - self.agreement
 
