@@ -250,7 +250,7 @@ class _Conditioned:
         # One large product is several times faster than a batch of small ones.
         whitened = measured @ self.precision.reshape(hypotheses * channels, channels).T
         whitened = whitened.reshape(len(measured), hypotheses, channels)
-        return np.asarray((whitened * measured[:, None]).sum(axis=2))
+        return np.einsum("nmd,nd->nm", whitened, measured)
 
     def log_evidence(self, measured: FloatArray) -> FloatArray:
         """Of the hypotheses for the values (N, d + s), shape (N, M) [-].
@@ -308,7 +308,11 @@ class JointDraws:
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
         means = means.reshape(-1, hypotheses, forces)[:, self.hypotheses]
-        return np.concatenate([means + errors, means - errors], axis=1)
+        half = len(self.hypotheses)
+        drawn = np.empty((len(means), 2 * half, forces))
+        np.add(means, errors, out=drawn[:, :half])
+        np.subtract(means, errors, out=drawn[:, half:])
+        return drawn
 
     def mean(self) -> FloatArray:
         """The estimate in the tiles' frames: the mean over the hypotheses, shape (k, 3n) [N]."""
@@ -816,11 +820,10 @@ def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
-    """Each pattern of present channels with the indices of its samples."""
-    rows: dict[bytes, list[int]] = {}
-    for row, channels in enumerate(present):
-        rows.setdefault(channels.tobytes(), []).append(row)
-    return ((pattern, np.array(some)) for pattern, some in rows.items())
+    """Each pattern of present channels with the indices of its samples, the earliest first."""
+    patterns, firsts, of_row = np.unique(present, axis=0, return_index=True, return_inverse=True)
+    for number in np.argsort(firsts).tolist():
+        yield patterns[number].tobytes(), np.flatnonzero(of_row.ravel() == number)
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
