@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.pose import about_z
@@ -130,6 +129,10 @@ class LimbMotion:
             for i, j in combinations(range(len(misfit)), 2)
         }
         pair = max(gains, key=lambda pair: gains[pair])
+        if (misfit.argmin(axis=1) == np.arange(len(misfit))).all():
+            return pair, gains[pair]
+        from scipy.optimize import linear_sum_assignment  # 0.1 s, seldom needed
+
         for circle in _circles(linear_sum_assignment(misfit)[1].tolist()):
             following = [*circle[1:], circle[0]]
             gain = float(misfit[circle, circle].sum() - misfit[circle, following].sum())
