@@ -129,7 +129,8 @@ class LimbMotion:
             for i, j in combinations(range(len(misfit)), 2)
         }
         pair = max(gains, key=lambda pair: gains[pair])
-        if (misfit.argmin(axis=1) == np.arange(len(misfit))).all():
+        most = float((np.diag(misfit) - misfit.min(axis=1)).sum())  # that any circle gains
+        if most <= gains[pair] + _CIRCLE_GAIN:
             return pair, gains[pair]
         from scipy.optimize import linear_sum_assignment  # 0.1 s, seldom needed
 
