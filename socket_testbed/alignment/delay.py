@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.special import stdtrit
 
 from socket_testbed.alignment.align import Series, align
@@ -199,6 +198,8 @@ def _best(own: FloatArray, both: FloatArray, later: FloatArray) -> tuple[float, 
 
     Between steps the sums of products are interpolated, which is exact enough for values in a band.
     """
+    from scipy.interpolate import make_interp_spline  # 0.1 s, which a recorded trial need not wait
+
     unexplained = _log_unexplained(own, both, later)
     reach = len(unexplained) // 2
     best = min(max(int(unexplained.argmin()), _NEAR), 2 * reach - _NEAR)

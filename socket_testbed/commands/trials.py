@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 
 from socket_testbed import api
 from socket_testbed.commands import calls
@@ -23,6 +24,7 @@ from socket_testbed.settings.options import (
     SimulationOptions,
     given,
 )
+from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
 from socket_testbed.trials.export import EXPORT_FORMATS
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
@@ -89,42 +91,41 @@ def info(call: calls.Info) -> None:
     """Show the contents of a trial: topics, rates, gaps, plateau."""
     notify = cache(lambda note: print(f"note: {note}"))  # part of the output
     opened = dataclasses.replace(open_given(call.trial, call), notify=notify)
-    print(f"{_topics(opened)}\n")
-    report_data(opened)
-    samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
-    checked = opened.checked()
-    tables = [drop_outs(samples), noise_table(samples.clusters, checked.noise)]
-    if plateaus := opened.plateaus(estimator):
-        tables.append(loads_table(checked.samples, plateaus))
-    print(describe_samples(samples))
-    for shown in tables:
-        print(f"\n{shown.caption}\n\n{text_of(shown)}")
-    print(f"\n{_events(opened)}")
-    print(f"\n{_metadata(metadata)}\n")
-    stored = [name for name in CONFIGURATION_FILES if (call.trial / name).is_file()]
-    print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
-    geometry = opened.geometry
-    print(f"socket: {geometry.source or 'not stated'}; {len(geometry)} tiles")
-    print(f"registration: {geometry.bodies}")
-    print(f"calibration: {opened.calibration.origin}")
-    with opened.open() as bag:
+    with opened.kept_open() as bag:
+        print(f"{_topics(opened.path, bag)}\n")
+        report_data(opened)
+        samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
+        checked = opened.checked()
+        tables = [drop_outs(samples), noise_table(samples.clusters, checked.noise)]
+        if plateaus := opened.plateaus(estimator):
+            tables.append(loads_table(checked.samples, plateaus))
+        print(describe_samples(samples))
+        for shown in tables:
+            print(f"\n{shown.caption}\n\n{text_of(shown)}")
+        print(f"\n{_events(opened)}")
+        print(f"\n{_metadata(metadata)}\n")
+        stored = [name for name in CONFIGURATION_FILES if (call.trial / name).is_file()]
+        print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
+        geometry = opened.geometry
+        print(f"socket: {geometry.source or 'not stated'}; {len(geometry)} tiles")
+        print(f"registration: {geometry.bodies}")
+        print(f"calibration: {opened.calibration.origin}")
         tares = read_tares(bag)
-    print("\n".join(tares_in_words(tares, int(samples.stamps[0]))))
+        print("\n".join(tares_in_words(tares, int(samples.stamps[0]))))
 
 
-def _topics(trial: Trial) -> str:
-    with trial.open() as bag:
-        duration = bag.duration
-        rows = [
-            [
-                name,
-                bag.types[name],
-                str(n),
-                decimals(max(n - 1, 0) / duration if duration else 0.0, 2),
-            ]
-            for name, n in sorted(bag.counts.items())
+def _topics(path: Path, bag: BagReader) -> str:
+    duration = bag.duration
+    rows = [
+        [
+            name,
+            bag.types[name],
+            str(n),
+            decimals(max(n - 1, 0) / duration if duration else 0.0, 2),
         ]
-        heading = f"{trial.path}: {sum(bag.counts.values())} messages in {duration:.2f} s"
+        for name, n in sorted(bag.counts.items())
+    ]
+    heading = f"{path}: {sum(bag.counts.values())} messages in {duration:.2f} s"
     return f"{heading}\n{table(['topic', 'type', 'messages', 'Hz'], rows)}"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
@@ -13,6 +15,7 @@ SEARCHED_LAG = 10.0  # [s]
 SEARCHED_SHARE = 0.2  # [-]; of a trial, at most
 DELAY_STEP = 0.1  # [s]; at least
 LAG_STEP = 0.04  # [s]; at least
+ROUNDING = 1e-12  # [-]; of a sum of squares
 
 
 def correlation(one: FloatArray, other: FloatArray) -> float:
@@ -78,16 +81,57 @@ def best_lag(
     step = max(1, round(LAG_STEP / period))
     reference, course, period = reference[::step], course[::step], step * period
     limit = min(round(SEARCHED_LAG / period), len(course) // 3)
-    found = {
-        lag: correlation(course[max(lag, 0) : len(course) + min(lag, 0)].ravel(),
-                          reference[max(-lag, 0) : len(course) - max(lag, 0)].ravel())
-        for lag in range(-limit, limit + 1)
-    }  # fmt: skip
-    found = {lag: value for lag, value in found.items() if np.isfinite(value)}
+    found = _correlations(course, reference, limit)
     if 0 not in found:
         return 0.0, 0.0, 0.0
     best = max(found, key=lambda lag: (found[lag], -abs(lag)))
     return best * period, found[best], found[0]
+
+
+def _correlations(course: FloatArray, reference: FloatArray, limit: int) -> dict[int, float]:
+    """Correlation of a series with another by its delay behind it, up to a limit, in samples [-].
+
+    Delays with which fewer than `LEAST_CHECKED` values are known in both are left out. Each is
+    found as by `correlation`, from sums of products over the values known in both.
+
+    Args:
+        course: The series, shape (N,) or (N, k), in its unit; NaN where it is missing.
+        reference: The other one, likewise.
+        limit: The longest delay, as early and as late.
+    """
+    width = math.prod(course.shape[1:])
+    (own, own_known), (other, other_known) = _centred(course), _centred(reference)
+    own_squares, other_squares = own**2, other**2
+    found = {}
+    for lag in range(-limit, limit + 1):
+        late = slice(width * max(lag, 0), len(own) + width * min(lag, 0))
+        early = slice(width * max(-lag, 0), len(own) - width * max(lag, 0))
+        count = float(own_known[late] @ other_known[early])
+        if count < LEAST_CHECKED:
+            continue
+        own_sum = float(own[late] @ other_known[early])
+        other_sum = float(own_known[late] @ other[early])
+        own_spread = _spread(float(own_squares[late] @ other_known[early]), own_sum, count)
+        other_spread = _spread(float(own_known[late] @ other_squares[early]), other_sum, count)
+        together = float(own[late] @ other[early]) - own_sum * other_sum / count
+        size = math.sqrt(own_spread * other_spread)
+        found[lag] = together / size if size > 0.0 else 0.0
+    return found
+
+
+def _centred(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Values less their mean with zeros for missing ones, and 1 where one is known, (N k,) each."""
+    flat = values.ravel()
+    known = np.isfinite(flat)
+    filled = np.where(known, flat, 0.0)
+    filled[known] -= filled[known].mean() if known.any() else 0.0
+    return filled, known.astype(np.float64)
+
+
+def _spread(squares: float, total: float, count: float) -> float:
+    """Sum of squares about the mean, from that about zero and the sum; 0 if it is only rounding."""
+    spread = squares - total**2 / count
+    return spread if spread > ROUNDING * squares else 0.0
 
 
 def clear_delay(
@@ -139,7 +183,11 @@ def drift_of(courses: FloatArray, causes: FloatArray, time: FloatArray) -> Float
         causes: What explains them linearly, shape (N, m), each in its unit.
         time: Times of the samples, shape (N,) [s].
     """
-    known = np.isfinite(courses).all(axis=1) & np.isfinite(causes).all(axis=1)
+    present = np.isfinite(courses)
+    if (present != present[:, :1]).any():  # else one solution serves them all
+        each = [drift_of(course[:, None], causes, time) for course in courses.T]
+        return np.concatenate(each)
+    known = present.all(axis=1) & np.isfinite(causes).all(axis=1)
     if known.sum() < LEAST_CHECKED:
         return np.zeros(courses.shape[1])
     scaled = causes[known] - causes[known].mean(axis=0)

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from itertools import chain
 
 import numpy as np
@@ -29,7 +29,6 @@ from socket_testbed.identification.limb_motion import (
     mirrored_forces,
 )
 from socket_testbed.identification.noise import ChannelNoise
-from socket_testbed.identification.sudden_changes import find_steps
 from socket_testbed.samples import Samples, force_magnitude
 
 MIN_CORRELATION = 0.2  # [-]; correlation with the load below which a source does not follow it
@@ -270,18 +269,20 @@ def check_courses(
     return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 
-def find_drifts(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+def find_drifts(
+    samples: Samples, geometry: SocketGeometry, stepped: Collection[str]
+) -> Iterator[DataFinding]:
     """Sources that change steadily over the trial, beside what wrench and pose explain.
 
     Args:
         samples: The samples, without outliers and left-out channels, with rotations since the mean
             attitude.
         geometry: The socket.
+        stepped: Names of the sources that step, see `find_steps`: a step is no drift.
     """
     time = samples.time
     if time[-1] < MIN_DRIFT_TIME:
         return
-    stepped = {each.source for each in find_steps(samples)}
     proximal = proximal_direction(geometry)
     across = samples.position - np.outer(samples.position @ proximal, proximal)
     drift = float(np.linalg.norm(drift_of(across, samples.wrench, time)))
@@ -293,9 +294,10 @@ def find_drifts(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFind
         )
         return
     causes = np.hstack([samples.wrench, samples.pose])
-    for column, name in enumerate(samples.clusters):
-        pressure = -samples.trusted_forces[:, [column], 2] / geometry.areas[geometry.clusters[name]]
-        drift = float(drift_of(pressure, causes, time)[0])
+    tiles = [geometry.clusters[name] for name in samples.clusters]
+    pressures = -samples.trusted_forces[:, :, 2] / geometry.areas[tiles]
+    drifts = drift_of(pressures, causes, time).tolist()
+    for name, drift in zip(samples.clusters, drifts, strict=True):
         if abs(drift) > MAX_DRIFT and name not in stepped:
             yield DataFinding(
                 name,

@@ -107,13 +107,16 @@ def check_data(
         counted = replace(counted, position=nothing, rotation=nothing)
     if noise is None or unclear:
         noise = channel_noise(counted)
+    steps = [*find_steps(counted, noise)]
     if whole:
         in_doubt = LOAD in unclear
         posed = _without_faulty_pose(counted, raw)
         found_over_time = [*check_courses(posed, geometry, noise, in_doubt)]
         found += found_over_time
         if not found_over_time and not in_doubt:
-            found += [*find_drifts(posed, geometry)] or [
+            of_posed = steps if posed is counted else find_steps(posed, noise)
+            stepped = {each.source for each in of_posed}
+            found += [*find_drifts(posed, geometry, stepped)] or [
                 *_disagreements(counted, geometry, noise, prior_map)
             ]
     stopped = {each.source for each in raw if STILL in each.fact}
@@ -122,7 +125,7 @@ def check_data(
         for each in check_channels(samples, noise, leave_out)
         if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
     ]
-    found += [*find_jumps(counted), *find_spikes(counted), *find_steps(counted)]
+    found += [*find_jumps(counted), *find_spikes(counted, noise), *steps]
     notes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in notes]
     return tuple(found)

@@ -250,7 +250,7 @@ class _Conditioned:
         # One large product is several times faster than a batch of small ones.
         whitened = measured @ self.precision.reshape(hypotheses * channels, channels).T
         whitened = whitened.reshape(len(measured), hypotheses, channels)
-        return np.asarray((whitened * measured[:, None]).sum(axis=2))
+        return np.einsum("nmd,nd->nm", whitened, measured)
 
     def log_evidence(self, measured: FloatArray) -> FloatArray:
         """Of the hypotheses for the values (N, d + s), shape (N, M) [-].
@@ -308,7 +308,11 @@ class JointDraws:
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
         means = means.reshape(-1, hypotheses, forces)[:, self.hypotheses]
-        return np.concatenate([means + errors, means - errors], axis=1)
+        half = len(self.hypotheses)
+        drawn = np.empty((len(means), 2 * half, forces))
+        np.add(means, errors, out=drawn[:, :half])
+        np.subtract(means, errors, out=drawn[:, half:])
+        return drawn
 
     def mean(self) -> FloatArray:
         """The estimate in the tiles' frames: the mean over the hypotheses, shape (k, 3n) [N]."""
@@ -820,11 +824,10 @@ def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
-    """Each pattern of present channels with the indices of its samples."""
-    rows: dict[bytes, list[int]] = {}
-    for row, channels in enumerate(present):
-        rows.setdefault(channels.tobytes(), []).append(row)
-    return ((pattern, np.array(some)) for pattern, some in rows.items())
+    """Each pattern of present channels with the indices of its samples, the earliest first."""
+    patterns, firsts, of_row = np.unique(present, axis=0, return_index=True, return_inverse=True)
+    for number in np.argsort(firsts).tolist():
+        yield patterns[number].tobytes(), np.flatnonzero(of_row.ravel() == number)
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -1031,10 +1034,9 @@ class Prior:
         for number, cluster in enumerate(clusters):
             local[number, :, geometry.clusters[cluster]] = np.eye(3)
         self.mapping = np.vstack([wrench.reshape(6, -1), local.reshape(-1, 3 * count)])
-        K, tiles = self.covariance(), np.arange(count)
-        self.blocks = K.reshape(count, 3, count, 3)[tiles, :, tiles]
-        self.with_channels = (K @ self.mapping.T).reshape(count, 3, -1)
-        self.signal = self.mapping @ K @ self.mapping.T
+        self.blocks = self._blocks()
+        self.with_channels = self._with(self.mapping)
+        self.signal = self.mapping @ self.with_channels.reshape(3 * count, -1)
         channels = 3 * len(clusters)
         errors = (sizes.moment_error, sizes.force_error, sizes.cluster_error)
         gains = np.repeat([0.0, sizes.cluster_gain_error], (6, channels))
@@ -1054,6 +1056,31 @@ class Prior:
         turned = self._turned @ K.reshape(count, 3, -1)
         K = self._turned @ turned.reshape(3 * count, -1).T.reshape(count, 3, -1)
         return np.asarray(K.reshape(3 * count, -1))
+
+    def _blocks(self) -> FloatArray:
+        """The blocks of K on its diagonal, shape (n, 3, 3) [N^2]."""
+        own = np.diag(self._correlation)[:, None, None]  # M of each tile with itself
+        blocks = own * np.diag(self._field**2)
+        blocks[:, 2, 2] += self._preload**2
+        blocks += (self._bed @ np.swapaxes(self._bed, 1, 2)) * (1.0 + self._variation**2 * own)
+        return np.asarray(self._turned @ blocks @ np.swapaxes(self._turned, 1, 2))
+
+    def _with(self, mapping: FloatArray) -> FloatArray:
+        """K H', shape (n, 3, d) [N^2], for a mapping H of the forces, (d, 3n): without K itself.
+
+        Its terms are those of `covariance`, each multiplied from the right.
+        """
+        count = len(self._correlation)
+        right = np.swapaxes(self._turned, 1, 2) @ mapping.T.reshape(count, 3, -1)
+        found = self._field[:, None] ** 2 * self._correlated(right)
+        found[:, 2] += self._preload**2 * right[:, 2].sum(axis=0)
+        motions = np.swapaxes(self._bed, 1, 2) @ right
+        varying = motions.sum(axis=0) + self._variation**2 * self._correlated(motions)
+        return np.asarray(self._turned @ (found + self._bed @ varying))
+
+    def _correlated(self, values: FloatArray) -> FloatArray:
+        """M times values of each of the n tiles, of shape (n, ...) in any unit."""
+        return (self._correlation @ values.reshape(len(values), -1)).reshape(values.shape)
 
     def draw(self, numbers: FloatArray) -> FloatArray:
         """Draws of the forces in the tiles' frames, x, y, z of each tile in turn, (D, 3n) [N].

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.pose import about_z
@@ -92,7 +91,12 @@ class LimbMotion:
             correlation [-], negative if the latter fit best.
         """
         turned, moment = self.rotation[:, :2], self.moment[:, :2]
-        found = {name: _alike(turned, moment @ axes) for name, axes in AXES.items()}
+        products = moment.T @ turned
+        size = np.sqrt((turned**2).sum() * (moment**2).sum())  # axes change no length
+        found = {
+            name: float((products * axes).sum() / size) if size > 0.0 else 0.0
+            for name, axes in AXES.items()
+        }
         best = max(found, key=lambda name: found[name])
         return best, found[best] - self.agreement
 
@@ -125,6 +129,11 @@ class LimbMotion:
             for i, j in combinations(range(len(misfit)), 2)
         }
         pair = max(gains, key=lambda pair: gains[pair])
+        most = float((np.diag(misfit) - misfit.min(axis=1)).sum())  # that any circle gains
+        if most <= gains[pair] + _CIRCLE_GAIN:
+            return pair, gains[pair]
+        from scipy.optimize import linear_sum_assignment  # 0.1 s, seldom needed
+
         for circle in _circles(linear_sum_assignment(misfit)[1].tolist()):
             following = [*circle[1:], circle[0]]
             gain = float(misfit[circle, circle].sum() - misfit[circle, following].sum())

@@ -124,21 +124,30 @@ def _deviation(values: FloatArray, regular: BoolArray) -> float:
     """Standard deviation of the noise of one channel, from its N values."""
     sizes = np.abs(_differences(values, regular))
     sizes = sizes[np.isfinite(sizes)]
-    step = _step(values)
-    if len(sizes) < MIN_DIFFERENCES or step == 0.0:
+    if len(sizes) < MIN_DIFFERENCES:
         return float("nan")
-    rounding = _QUANTISED * step
-    rough = max(float(robust_deviation(sizes)), rounding)
+    rough = float(robust_deviation(sizes))
+    found = _deviation_within(sizes, rough)
+    # Only coarse values show their rounding. Successive ones bound its step, without sorting all.
+    known = values[np.isfinite(values)]
+    if 0.0 < _QUANTISED * _smallest(np.abs(np.diff(known)), known) <= min(rough, found):
+        return found
+    rounding = _QUANTISED * _smallest(np.diff(np.unique(known)), known)
+    if rounding == 0.0:  # a constant
+        return float("nan")
+    return max(_deviation_within(sizes, max(rough, rounding)), rounding)
+
+
+def _deviation_within(sizes: FloatArray, rough: float) -> float:
+    """Standard deviation from the sizes, (k,), of those differences within `CUT` rough ones."""
     kept = sizes[sizes <= CUT * rough]
-    return max(float(np.sqrt(np.mean(kept**2))) / _TRUNCATED, rounding)
+    return float(np.sqrt(np.mean(kept**2))) / _TRUNCATED
 
 
-def _step(values: FloatArray) -> float:
-    """Smallest difference between distinct values (N,) of a channel; 0 if it is constant."""
-    finite = np.unique(values[np.isfinite(values)])
-    gaps = np.diff(finite)
-    gaps = gaps[gaps > _ROUNDING * np.abs(finite).max(initial=0.0)]
-    return float(gaps.min()) if len(gaps) else 0.0
+def _smallest(differences: FloatArray, values: FloatArray) -> float:
+    """Smallest of some differences of values (N,) that is no rounding; 0 without any."""
+    beyond = differences[differences > _ROUNDING * np.abs(values).max(initial=0.0)]
+    return float(beyond.min()) if len(beyond) else 0.0
 
 
 def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) -> FloatArray:

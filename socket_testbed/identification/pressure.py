@@ -57,7 +57,9 @@ _QUANTILES = (0.025, 0.5, 0.975)  # [-]
 _RAISED = ("peak", "area", "integral", "shear")  # their draws exceed the value on average
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
-_EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
+# Samples whose draws are expanded at a time: on regions, and on all tiles. A few megabytes of them
+# stay in the processor's own memory.
+_REGIONAL_BATCH, _TILES_BATCH = 32, 4
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 _MIN_EXTENT = 1e-9  # [m]; of a region of a single tile, whose centre of pressure is certain
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
@@ -290,8 +292,8 @@ class PressureOutputs:
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
             regional = draws.mapped(mapping)
-            for start in range(0, len(draws.rows), _EXPANDED_BATCH):
-                some = regional[start : start + _EXPANDED_BATCH]
+            for start in range(0, len(draws.rows), _REGIONAL_BATCH):
+                some = regional[start : start + _REGIONAL_BATCH]
                 part = self.by_region.interval("mean", some.mean(), some.values())
                 _store(found, part, kept[some.rows])
         return found
@@ -440,8 +442,8 @@ def _expanded(
     widened, those of their forces are not.
     """
     for draws in force_map.sample(samples, _DRAWS):
-        for start in range(0, len(draws.rows), _EXPANDED_BATCH):
-            some = draws[start : start + _EXPANDED_BATCH]
+        for start in range(0, len(draws.rows), _TILES_BATCH):
+            some = draws[start : start + _TILES_BATCH]
             alone = _instants(some.mean()[:, None], areas, threshold)
             instants = _instants(some.values(), areas, threshold)
             pressure = alone.peak + _PEAK_WIDENING * (instants.peak - alone.peak)

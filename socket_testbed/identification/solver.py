@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import qpsolvers
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix
 
@@ -206,6 +205,8 @@ def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
     Raises:
         UncertifiedSolutionError: If the solver fails.
     """
+    import qpsolvers  # it imports every solver
+
     P = problem.P if solver in qpsolvers.dense_solvers else csc_matrix(problem.P)
     program = qpsolvers.Problem(P, problem.q, lb=problem.lower, ub=problem.upper)
     try:

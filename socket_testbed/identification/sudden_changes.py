@@ -8,7 +8,7 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, finite_quantile, gaps
 from socket_testbed.identification.data_finding import DataFinding
-from socket_testbed.identification.noise import deviations
+from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.samples import GROUPS, LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 
 _USUAL_DEPARTURE = 0.97  # quantile of a channel's departures that are usual
@@ -27,9 +27,15 @@ _KINK_NOISE = np.sqrt(5.0)  # [-]; root sum of squares of the weights of `_kinks
 POSE_JUMPS = (0.02, 0.15)  # [m, rad]; from one sample to the next
 
 
-def find_spikes(samples: Samples) -> Iterator[DataFinding]:
-    """Single values within the range that leave the course of their channel and come back."""
-    for name, sizes, ratios in _changes(samples, _departures):
+def find_spikes(samples: Samples, noise: ChannelNoise) -> Iterator[DataFinding]:
+    """Single values within the range that leave the course of their channel and come back.
+
+    Args:
+        samples: The samples, without outliers and left-out channels, with rotations since the mean
+            attitude.
+        noise: Noise of the samples.
+    """
+    for name, sizes, ratios in _changes(samples, noise, _departures):
         least = _least_change(samples, name, SPIKE_SHARE, POSE_SPIKES, 0.0)
         single = (ratios > MIN_SPIKE) & (sizes > least)
         clear = (ratios > CLEAR_SPIKE * MIN_SPIKE) & (sizes > CLEAR_SPIKE * least)
@@ -48,13 +54,17 @@ def find_spikes(samples: Samples) -> Iterator[DataFinding]:
         )
 
 
-def find_steps(samples: Samples) -> Iterator[DataFinding]:
+def find_steps(samples: Samples, noise: ChannelNoise) -> Iterator[DataFinding]:
     """Channels that step from one sample to the next and stay there, while no other source moves.
 
     Poses that jump far are found without a comparison, see `find_jumps`.
+
+    Args:
+        samples: The samples, as in `find_spikes`.
+        noise: Noise of the samples.
     """
     jumps = any(find_jumps(samples))
-    for name, sizes, ratios in _changes(samples, _kinks):
+    for name, sizes, ratios in _changes(samples, noise, _kinks):
         least = _least_change(samples, name, STEP_SHARE, POSE_STEPS, MIN_STEP)
         steps = np.where(sizes > least, ratios, 0.0)
         row, column = np.unravel_index(steps.argmax(), steps.shape)
@@ -87,23 +97,30 @@ def find_jumps(samples: Samples) -> Iterator[DataFinding]:
 
 
 def _changes(
-    samples: Samples, found_by: Callable[[FloatArray, BoolArray], tuple[FloatArray, FloatArray]]
+    samples: Samples,
+    noise: ChannelNoise,
+    found_by: Callable[[FloatArray, BoolArray, FloatArray], tuple[FloatArray, FloatArray]],
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Sudden changes of single sources: what a limb does is felt by several of them.
 
     Args:
         samples: N samples without outliers and left-out channels.
+        noise: Noise of the samples.
         found_by: Returns sizes and ratios of changes, such as `_departures`.
 
     Yields:
         A source, the sizes of the changes in the units of its k channels, and the sizes over the
         usual ones [-], shape (N, k) each; the latter are 0 where another source changes as well.
     """
-    values = {"the wrench": samples.wrench, "the limb pose": samples.pose}
+    sources = {
+        "the wrench": (samples.wrench, noise.wrench),
+        "the limb pose": (samples.pose, noise.pose),
+    }
     forces = samples.trusted_forces
-    values |= {name: forces[:, column] for column, name in enumerate(samples.clusters)}
+    for column, name in enumerate(samples.clusters):
+        sources[name] = forces[:, column], noise.local_forces[column]
     regular = ~gaps(samples.stamps)
-    found = {name: found_by(own, regular) for name, own in values.items()}
+    found = {name: found_by(own, regular, of_own) for name, (own, of_own) in sources.items()}
     sharp = {name: ratios.max(axis=1) for name, (_, ratios) in found.items()}
     for name, (sizes, ratios) in found.items():
         others = np.max([own for other, own in sharp.items() if other != name], axis=0)
@@ -141,12 +158,15 @@ def _in_words(source: str, column: int, size: float) -> str:
     return f"{names[column]} by {size:.3g} {channel_unit(names[column])}"
 
 
-def _departures(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _departures(
+    values: FloatArray, regular: BoolArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """How far each value lies beyond both its neighbours, on one side of both.
 
     Args:
         values: Channels of one source, shape (N, k), in their units.
         regular: Which of the steps between samples are of the usual length, shape (N - 1,).
+        noise: Noise of the channels, shape (k,), in their units; NaN if it is unknown.
 
     Returns:
         The distances from the nearer neighbour in the channels' units, 0 between the neighbours or
@@ -158,17 +178,19 @@ def _departures(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, Flo
     beyond = into * out > 0.0
     sizes[1:-1][beyond] = np.minimum(np.abs(into), np.abs(out))[beyond]
     usual = np.quantile(sizes, _USUAL_DEPARTURE, axis=0)
-    noise = np.nan_to_num(deviations(values, regular))
-    scale = np.maximum(usual, noise)
+    scale = np.maximum(usual, np.nan_to_num(noise))
     return sizes, np.divide(sizes, scale, out=np.zeros(sizes.shape), where=scale > 0.0)
 
 
-def _kinks(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _kinks(
+    values: FloatArray, regular: BoolArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """How far each value steps from the one before, beyond the mean of the steps around it.
 
     Args:
         values: Channels of one source, shape (N, k), in their units.
         regular: Which of the steps between samples are of the usual length, shape (N - 1,).
+        noise: Noise of the channels, shape (k,), in their units; NaN if it is unknown.
 
     Returns:
         The sizes of the steps in the channels' units, 0 where a value nearby is missing or where
@@ -183,6 +205,5 @@ def _kinks(values: FloatArray, regular: BoolArray) -> tuple[FloatArray, FloatArr
     sizes[2:-1] = np.nan_to_num(beyond)
     usual = np.quantile(sizes, _USUAL_DEPARTURE, axis=0)
     sizes[2:-1][~alone] = 0.0
-    noise = _KINK_NOISE * np.nan_to_num(deviations(values, regular))
-    scale = np.maximum(usual, noise)
+    scale = np.maximum(usual, _KINK_NOISE * np.nan_to_num(noise))
     return sizes, np.divide(sizes, scale, out=np.zeros(sizes.shape), where=scale > 0.0)

@@ -433,8 +433,8 @@ class JointMap:
             for share, onto, channels in states:
                 told = np.linalg.solve(channels[np.ix_(rows, rows)], onto[:, rows].T)
                 gained += share * float((onto[:, rows].T * told).sum())
-                known = np.linalg.solve(channels[np.ix_(rows, rows)], channels[rows])
-                left = channels - channels[:, rows] @ known
+                by_rows = np.linalg.solve(channels[np.ix_(rows, rows)], channels[rows])
+                left = channels - channels[:, rows] @ by_rows
                 # What is measured varies no more.
                 left[rows, rows] += np.diag(channels)[rows]
                 after.append((share, onto - told.T @ channels[rows], left))

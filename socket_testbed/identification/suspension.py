@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, IntArray, evenly
+from socket_testbed.arrays import FloatArray, IntArray, evenly, gaps
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.noise import channel_noise
+from socket_testbed.identification.noise import deviations
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.samples import Samples, moments_about
 
@@ -72,7 +72,7 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
         samples: N samples under changing load, in ascending time.
         geometry: The socket, whose tiles give the centre and the direction along the socket.
     """
-    noise = channel_noise(samples).wrench
+    noise = deviations(samples.wrench, ~gaps(samples.stamps))
     known = samples.has_pose & np.isfinite(samples.wrench).all(axis=1)
     if known.sum() < _MIN_SAMPLES:
         return None
@@ -83,11 +83,12 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
     moved = np.hstack([pose[:, :3] - pose[:, :3].mean(axis=0) + np.cross(turned, arm), turned])
     variance = np.nan_to_num(np.roll(noise, 3)) ** 2
     along = moved[:, :3] @ proximal_direction(geometry)
+    motions = np.column_stack([along, moved[:, 3:]])
 
     def found(rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        low, high = np.percentile(moved[rows], _PERCENTILES, axis=0)
-        ends = np.percentile(along[rows], _PERCENTILES)
-        return _stiffness(moved[rows], load[rows], variance), np.diff(ends)[0], (high - low)[3:]
+        low, high = np.percentile(motions[rows], _PERCENTILES, axis=0)
+        sunk, *rotated = high - low
+        return _stiffness(moved[rows], load[rows], variance), sunk, np.array(rotated)
 
     blocks = np.array_split(evenly(len(moved), _MAX_RESAMPLED), _BLOCKS)
     chosen = np.random.default_rng(0).integers(0, _BLOCKS, (_RESAMPLES, _BLOCKS))

@@ -210,30 +210,14 @@ class BagReader:
                 its index lists.
         """
         for file, reader in self._readers:
-            connections = [c for c in reader.connections if topics is None or c.topic in topics]
-            if not connections:
-                continue
-            left = {connection.id: connection.msgcount for connection in connections}
             known = typestore().fielddefs
             definitions = {
                 kind: text for kind, text in reader.definitions.items() if kind not in known
             }
-            try:
-                for connection, time, data in reader.messages(connections):
-                    left[connection.id] -= 1
-                    content = bytes(data)
-                    if content.startswith(ZSTD_MAGIC):
-                        content = zstd.decompress(content)
-                    kind = connection.msgtype
-                    definition = definitions.get(kind, "")
-                    yield RawMessage(connection.topic, kind, time, content, definition)
-            except Exception as error:  # the library may raise any exception
-                raise _damaged(file, error) from None
-            if lacking := sum(left.values()):
-                raise TrialError(
-                    f"{file}: is damaged: its index lists {lacking} more messages than can be read",
-                    COPY_AGAIN,
-                )
+            for connection, time, content in _contents(file, reader, topics):
+                kind = connection.msgtype
+                definition = definitions.get(kind, "")
+                yield RawMessage(connection.topic, kind, time, content, definition)
 
     def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
         """The messages of some topics, given by full name, in blocks that bound the memory.
@@ -243,10 +227,12 @@ class BagReader:
             order within the topic.
         """
         blocks: dict[str, list[bytes]] = defaultdict(list)
-        for raw in self.messages(topics):
-            blocks[raw.topic].append(raw.data)
-            if len(blocks[raw.topic]) == _BLOCK_SIZE:
-                yield raw.topic, blocks.pop(raw.topic)
+        for file, reader in self._readers:
+            for connection, _, content in _contents(file, reader, topics):
+                block = blocks[connection.topic]
+                block.append(content)
+                if len(block) == _BLOCK_SIZE:
+                    yield connection.topic, blocks.pop(connection.topic)
         yield from blocks.items()
 
     def _read_metadata(self) -> BagMetadata | None:
@@ -464,6 +450,35 @@ class BagReader:
                 f"metadata.yaml lists {listed(differences, _MAX_LISTED)}: {COPY_AGAIN}, or write"
                 " metadata.yaml again with 'ros2 bag reindex'"
             )
+
+
+def _contents(
+    file: Path, reader: Storage, topics: Collection[str] | None
+) -> Iterator[tuple[Any, int, bytes]]:
+    """The messages of some topics of a storage file, given by full name, or of all (None).
+
+    Yields:
+        The topic, the recording time since the epoch [ns], and the content (CDR), uncompressed.
+
+    Raises:
+        TrialError: As `BagReader.messages`.
+    """
+    connections = [c for c in reader.connections if topics is None or c.topic in topics]
+    if not connections:
+        return
+    left = sum(connection.msgcount for connection in connections)
+    try:
+        for connection, time, data in reader.messages(connections):
+            left -= 1
+            content = bytes(data)
+            if content.startswith(ZSTD_MAGIC):
+                content = zstd.decompress(content)
+            yield connection, time, content
+    except Exception as error:  # the library may raise any exception
+        raise _damaged(file, error) from None
+    if left:
+        fact = f"{file}: is damaged: its index lists {left} more messages than can be read"
+        raise TrialError(fact, COPY_AGAIN)
 
 
 def _holds_more(part: _Part, other: _Part) -> bool:

@@ -15,17 +15,19 @@ import struct
 import zlib
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from datetime import datetime
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
 
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag_parts import (
@@ -38,8 +40,17 @@ from socket_testbed.trials.bag_parts import (
 from socket_testbed.trials.bag_parts import MCAP_MAGIC as _MAGIC
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content [bytes]
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of recording and publishing [ns]
-_MESSAGE_OPCODE = int(Opcode.MESSAGE)  # looked up once, compared for every record
+_LENGTH = struct.Struct("<Q")  # of a record's content [bytes]
+_MESSAGE = np.dtype(  # what precedes a message's data in its record
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),  # [bytes]
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("time", "<u8"),  # of recording, since the epoch [ns]
+        ("published", "<u8"),  # [ns]
+    ]
+)
 _FOOTER = _RECORD.pack(Opcode.FOOTER, 20)
 _END_SIZE = _RECORD.size + 20 + len(_MAGIC)
 _CHUNK_OVERHEAD = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk without its data and compression name
@@ -88,6 +99,7 @@ class _Chunk:
         definitions: The message types and topics that it defines.
         sound: Whether it can be read completely; otherwise it counts as empty.
         checked: Whether a checksum confirms its content.
+        edges: Where its records begin and the last one ends in its content, (k + 1,) [bytes].
         counts: Number of its messages by channel.
         strays: Number of its messages whose recording time is far from those of the file.
         first_time: Earliest recording time of its messages since the epoch [ns]; 0 without any.
@@ -99,29 +111,28 @@ class _Chunk:
         self.place = place
         self.definitions: list[Schema | Channel] = []
         self.sound, self.checked = True, True
-        channels, times = [], []
+        self.edges = np.zeros(1, np.int32)
+        channels, times = np.empty(0, np.uint16), np.empty(0, np.uint64)
         try:
             content, self.checked = _unpack(file, place)
-            for opcode, start, end in _records(content):
-                if opcode == _MESSAGE_OPCODE:
-                    if end - start < _MESSAGE.size:
-                        raise ValueError("the chunk holds a torn message")
-                    channel, _, time, _ = _MESSAGE.unpack_from(content, start)
-                    channels.append(channel)
-                    times.append(time)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self.edges = _edges(content)
+            records = _Records(content, self.edges)
+            channels, times = records.channels, np.sort(records.times)
+            for opcode, start, end in records.others:
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self.definitions.append(_definition(opcode, content[start:end]))
                 elif opcode < _FIRST_PRIVATE_OPCODE:
                     raise ValueError("the chunk holds another record")
         except Exception:  # the libraries may raise any exception
-            self.sound, self.definitions, channels, times = False, [], [], []
-        self.counts = Counter(channels)
+            self.sound, self.definitions, channels, times = False, [], channels[:0], times[:0]
+        self.counts = Counter(channels.tolist())
         self.strays = 0
-        times.sort()
-        self.first_time: int = times[0] if times else 0
-        self.middle_time: int = times[(len(times) - 1) // 2] if times else 0
-        self.last_time: int = times[-1] if times else 0
-        self._times = times if self.last_time - self.first_time > MAX_APART else []
+        count = len(times)
+        self.first_time = int(times[0]) if count else 0
+        self.middle_time = int(times[(count - 1) // 2]) if count else 0
+        self.last_time = int(times[-1]) if count else 0
+        is_long = self.last_time - self.first_time > MAX_APART
+        self._times: list[int] = times.tolist() if is_long else []
 
     def keep_within(self, low: int, high: int, before: int) -> None:
         """Limit the first and the last time to a range, and count the messages outside it.
@@ -249,23 +260,36 @@ class McapFile:
 
     def _messages_of(
         self, chunk: _Chunk, wanted: Mapping[int, Connection]
-    ) -> Iterator[tuple[int, int, Connection, bytes]]:
-        """The messages of a chunk.
+    ) -> list[tuple[int, int, Connection, bytes]]:
+        """The messages of a chunk, in the order of the file.
 
-        Yields:
+        Returns:
             Recording time since the epoch [ns], start of the chunk in the file [bytes], topic, and
             serialised message. A time that is days from the others is that of the message before.
         """
         content, _ = _unpack(self._file, chunk.place)
-        before = chunk.first_time
-        for opcode, start, end in _records(content):
-            if opcode == _MESSAGE_OPCODE:
-                channel, _, time, _ = _MESSAGE.unpack_from(content, start)
-                if chunk.strays:
-                    time = before = time if self._is_near(time) else before
-                if channel in wanted:
-                    data = content[start + _MESSAGE.size : end]
-                    yield time, chunk.place.start, wanted[channel], data
+        records = _Records(content, chunk.edges)
+        times: list[int] = records.times.tolist()
+        if chunk.strays:
+            times = [*self._near_times(times, chunk.first_time)]
+        columns = (each.tolist() for each in (records.channels, records.starts, records.ends))
+        return [
+            (time, chunk.place.start, wanted[channel], content[start:end])
+            for time, channel, start, end in zip(times, *columns, strict=True)
+            if channel in wanted
+        ]
+
+    def _near_times(self, times: Iterable[int], before: int) -> Iterator[int]:
+        """Recording times [ns], each that is days from the others replaced by the one before.
+
+        Args:
+            times: The times of a chunk since the epoch [ns].
+            before: Stands for the time before the first one, since the epoch [ns].
+        """
+        for time in times:
+            if self._is_near(time):
+                before = time
+            yield before
 
     def _unreadable(self, name: Path, ended: bool) -> TrialError:
         """The error for a file without a complete chunk of messages."""
@@ -432,7 +456,7 @@ def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))
         start, position = position, position + _RECORD.size + length
         # A recorder that writes chunks writes no messages outside them.
-        if position > size or opcode == 0 or (chunked and opcode == _MESSAGE_OPCODE):
+        if position > size or opcode == 0 or (chunked and opcode == Opcode.MESSAGE):
             break
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             return places, True
@@ -441,7 +465,7 @@ def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
             places.append(_Place(start + _RECORD.size, position, position))
         elif opcode == Opcode.MESSAGE_INDEX and places:
             places[-1] = places[-1]._replace(index_end=position)
-        elif opcode in (_MESSAGE_OPCODE, Opcode.SCHEMA, Opcode.CHANNEL):
+        elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
             last = places.pop() if places else _Place(start, start, start, packed=False)
             if last.packed or last.end != start or last.end - last.start > _MAX_LOOSE_SIZE:
                 places.append(last)
@@ -478,6 +502,56 @@ def _unpack(file: BinaryIO, place: _Place) -> tuple[bytes, bool]:
     if length != chunk.uncompressed_size:
         raise ValueError("the chunk has another size")
     return stream.read(length), bool(chunk.uncompressed_crc)
+
+
+class _Records:
+    """The records of a chunk, whose k messages are read all at once.
+
+    Args:
+        content: The unpacked chunk.
+        edges: Where its records begin and end, see `_edges`.
+
+    Attributes:
+        channels: Numbers of the messages' channels, k of them.
+        times: Recording times of the messages since the epoch [ns], k of them.
+        starts: Where the data of each message begin in the content [bytes], k of them.
+        ends: Where they end [bytes], k of them.
+        others: Opcode, start and end [bytes] of the content of every other record.
+
+    Raises:
+        ValueError: If a message is torn.
+    """
+
+    def __init__(self, content: bytes, edges: NDArray[np.int32]) -> None:
+        starts, ends = edges[:-1], edges[1:]
+        opcodes = np.frombuffer(content, np.uint8)[starts]
+        is_message = opcodes == Opcode.MESSAGE
+        others = (opcodes[~is_message], starts[~is_message] + _RECORD.size, ends[~is_message])
+        self.others = [*zip(*(column.tolist() for column in others), strict=True)]
+        starts, ends = starts[is_message], ends[is_message]
+        if (ends - starts < _MESSAGE.itemsize).any():
+            raise ValueError("the chunk holds a torn message")
+        # A message may begin at any byte.
+        anywhere = max(len(content) - _MESSAGE.itemsize + 1, 0)
+        messages = np.ndarray((anywhere,), _MESSAGE, content, strides=(1,))[starts]
+        self.channels, self.times = messages["channel"], messages["time"]
+        self.starts, self.ends = starts + _MESSAGE.itemsize, ends
+
+
+def _edges(content: bytes) -> NDArray[np.int32]:
+    """Where each of k records begins, and the last one ends, shape (k + 1,) [bytes].
+
+    Raises:
+        ValueError: If a record is torn.
+    """
+    edge, edges = 0, [0]
+    while edge < len(content):
+        (length,) = _LENGTH.unpack_from(content, edge + 1)
+        edge += _RECORD.size + length
+        edges.append(edge)
+    if edge > len(content):
+        raise ValueError("a record is torn")
+    return np.array(edges, np.int32)
 
 
 def _records(content: bytes) -> Iterator[tuple[int, int, int]]:

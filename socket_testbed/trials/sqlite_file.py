@@ -15,7 +15,6 @@ from typing import Any
 from urllib.parse import quote
 
 from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder
@@ -77,6 +76,8 @@ class SqliteFile:
         self.end_time = self._last + 1 if self.message_count else 0
 
     def _open(self, stack: ExitStack, file: Path) -> None:
+        from rosbags.rosbag2 import Reader  # 30 ms, which an MCAP file need not wait
+
         self._reader = stack.enter_context(Reader(_as_database(stack, file)))
         self._first, self._last, self._strays = _times(file)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -65,6 +65,11 @@ class Measurements:
     def time(self) -> FloatArray:
         """Time since the first trigger, shape (N,) [s]."""
         return (self.stamps - self.stamps[0]) * 1e-9
+
+    def without_raw(self) -> Measurements:
+        """The measurements without ratios, tares and markers, which only their check needs."""
+        nothing = np.empty((0, 6))
+        return replace(self, ratios=nothing, tares=nothing, markers={})
 
     def packed(self) -> tuple[tuple[topics.Topic, VectorPacker, FloatArray], ...]:
         """Topic, packer of a row, and rows of the wrenches (N, 6) and of the poses (N, 7)."""

@@ -59,14 +59,17 @@ class _Kept:
     """What a trial keeps of its readings, so that later calls need no other one.
 
     Attributes:
-        samples: The samples; None before the first reading.
+        bag: The bag within `Trial.kept_open`; None otherwise.
+        read: The measurements, without those that only the check of the data needs, and the
+            samples; None before the first reading.
         fingerprint: The fingerprint; empty before the first reading.
         checked: The judged samples, by left-out channels.
         raw: The problems that the measurements show, and what nodes reported.
         notes: The notes as keys, in their order, without duplicates.
     """
 
-    samples: Samples | None = None
+    bag: BagReader | None = None
+    read: tuple[synchronise.Measurements, Samples] | None = None
     fingerprint: str = ""
     checked: dict[tuple[str, ...], CheckedSamples] = field(default_factory=dict)
     raw: tuple[DataFinding, ...] = ()
@@ -118,11 +121,27 @@ class Trial:
 
     @contextmanager
     def open(self) -> Iterator[BagReader]:
-        """Open the trial's bag; its notes go to `notify`."""
+        """Open the trial's bag, unless it is kept open; its notes go to `notify`."""
+        if self._kept.bag is not None:
+            yield self._kept.bag
+            return
         with BagReader(self.path) as bag:
             for note in bag.notes:
                 self._notify(note)
             yield bag
+
+    @contextmanager
+    def kept_open(self) -> Iterator[BagReader]:
+        """Open the trial's bag once for all readings meanwhile, as opening it scans its files.
+
+        Meanwhile the trial serves a single thread.
+        """
+        with self.open() as bag:
+            self._kept.bag = bag
+            try:
+                yield bag
+            finally:
+                self._kept.bag = None
 
     @property
     def remade(self) -> tuple[topics.Topic, ...]:
@@ -199,9 +218,7 @@ class Trial:
         Raises:
             TestbedError: As in `measurements`, or if a cluster of the trial is on no tile.
         """
-        if self._kept.samples is None:
-            return self.measurements_and_samples()[1]
-        return self._kept.samples
+        return self.measurements_and_samples()[1]
 
     def _strangers(self, clusters: Collection[str]) -> list[str]:
         """The clusters that the configuration does not know; none if it knows none of them."""
@@ -311,7 +328,13 @@ class Trial:
         return stacked(columns, len(table))
 
     def measurements_and_samples(self) -> tuple[synchronise.Measurements, Samples]:
-        """`measurements` and `samples` from one reading."""
+        """`measurements`, without ratios, tares and markers, and `samples`; cached."""
+        if self._kept.read is None:
+            self._kept.read = self._read()
+        return self._kept.read
+
+    def _read(self) -> tuple[synchronise.Measurements, Samples]:
+        """Measurements and samples, and the problems that only the measurements show."""
         from socket_testbed.trials import raw_check  # not needed by a replay
 
         with self.open() as bag:
@@ -332,9 +355,7 @@ class Trial:
         )
         self._kept.raw = (*readings, *others, *turned, *reports)
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
-        if self._kept.samples is None:
-            self._kept.samples = samples
-        return measured, self._kept.samples
+        return measured.without_raw(), samples
 
     def check(self) -> tuple[str, ...]:
         """Refuse an unusable trial before long work or the start of a graph, by its first messages.

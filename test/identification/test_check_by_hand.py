@@ -138,17 +138,17 @@ def test_a_kink_is_a_step_beyond_its_neighbours() -> None:
     line = 2.0 * np.arange(40.0)[:, None] + [[0.0, 5.0]]
     line[:, 0] += np.where(np.arange(40) >= 20, 10.0, 0.0)
     regular = np.ones(39, dtype=bool)
-    sizes, _ = sudden_changes._kinks(line, regular)
+    sizes, _ = sudden_changes._kinks(line, regular, np.zeros(2))
     assert np.flatnonzero(sizes[:, 0]).tolist() == [20] and sizes[20, 0] == pytest.approx(10.0)
     assert not sizes[:, 1].any()
     regular[19] = False
-    assert not sudden_changes._kinks(line, regular)[0].any()
+    assert not sudden_changes._kinks(line, regular, np.zeros(2))[0].any()
 
 
 def test_a_spike_is_no_step() -> None:
     values = np.zeros((40, 1))
     values[20] = 10.0
-    assert not sudden_changes._kinks(values, np.ones(39, dtype=bool))[0].any()
+    assert not sudden_changes._kinks(values, np.ones(39, dtype=bool), np.zeros(1))[0].any()
 
 
 # --- limits
