@@ -343,6 +343,30 @@ class JointDraws:
         means = means.reshape(-1, hypotheses, forces)[:, self.hypotheses]
         return np.concatenate([means + errors, means - errors], axis=1)
 
+    def ordered(self, batch: int) -> Iterator[tuple[slice, FloatArray]]:
+        """The draws of every force in ascending order, shape (k, 3n, D) [N], in batches of samples.
+
+        Args:
+            batch: Number of samples of a batch; of a few, all draws stay in the cache.
+
+        Yields:
+            A slice of the samples, and their draws.
+        """
+        count, half = len(self.rows), len(self.hypotheses)
+        gain = np.swapaxes(self.gain[self.hypotheses], 0, 1)  # (3n, D/2, d)
+        forces, _, channels = gain.shape
+        onto = gain.reshape(-1, channels).T
+        errors, sizes = np.ascontiguousarray(self.errors.T), self.sizes[:, None, self.hypotheses]
+        for start in range(0, count, batch):
+            some = slice(start, min(start + batch, count))
+            means = (self.channels[some] @ onto).reshape(-1, forces, half)
+            missed = sizes[some] * errors
+            draws = np.empty((*means.shape[:2], 2 * half))
+            np.add(means, missed, out=draws[..., :half])
+            np.subtract(means, missed, out=draws[..., half:])
+            draws.sort(axis=-1)
+            yield some, draws
+
     def mean(self) -> FloatArray:
         """The estimate in the tiles' frames: the mean over the hypotheses, shape (k, 3n) [N]."""
         gain = np.tensordot(self.weights, self.gain, axes=1)

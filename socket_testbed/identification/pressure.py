@@ -58,6 +58,7 @@ _RAISED = ("peak", "area", "integral", "shear")  # their draws exceed the value 
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
 _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
+_ORDERED_BATCH = 8  # samples whose draws of regions are put in order at a time
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 _MIN_EXTENT = 1e-9  # [m]; of a region of a single tile, whose centre of pressure is certain
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
@@ -290,10 +291,12 @@ class PressureOutputs:
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
             regional = draws.mapped(mapping)
-            for start in range(0, len(draws.rows), _EXPANDED_BATCH):
-                some = regional[start : start + _EXPANDED_BATCH]
-                part = self.by_region.interval("mean", some.mean(), some.values())
-                _store(found, part, kept[some.rows])
+            value, last = regional.mean(), np.full((1, 1, 1), _DRAWS - 1)
+            low, high = np.empty((2, *value.shape))
+            for some, ordered in regional.ordered(_ORDERED_BATCH):
+                low[some], _, high[some] = _read_quantiles(ordered, last)
+            low, high = np.minimum(low, value), np.maximum(high, value)
+            _store(found, Quantity(value, low, high, np.abs(value)), kept[regional.rows])
         return found
 
 
@@ -578,7 +581,13 @@ def contact_of(
 def _quantiles(drawn: FloatArray) -> FloatArray:
     """`_QUANTILES` of the draws along the last axis, without NaN, shape (3, ...)."""
     ordered = np.sort(drawn, axis=-1)  # NaN comes last
-    last = np.maximum(np.isfinite(drawn).sum(axis=-1, keepdims=True) - 1, 0)
+    return _read_quantiles(
+        ordered, np.maximum(np.isfinite(drawn).sum(axis=-1, keepdims=True) - 1, 0)
+    )
+
+
+def _read_quantiles(ordered: FloatArray, last: IntArray) -> FloatArray:
+    """`_QUANTILES` of ascending values up to the index `last`, (..., 1), of the last axis."""
     place = last * np.array(_QUANTILES)
     below = place.astype(np.int64)
     low = np.take_along_axis(ordered, below, axis=-1)
