@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 from typing import Unpack
 
@@ -169,12 +169,16 @@ class _Recording:
         settings = self.settings.identification
         models = validation.fit_variants(self.loaded, self.trial.geometry, settings, self._note)
         predictors = validation.wrench_predictors(self.smooth, models)
-        found = (
-            validation.judge_wrench(other.smooth, predictors, "other trial", self.name, other.name)
-            for other in others
-            if len(other.loaded) >= MIN_SAMPLES
-        )
-        return [*chain.from_iterable(found)]
+        found: list[validation.Judgement] = []
+        for other in others:
+            samples = other.smooth
+            every = np.arange(len(samples))
+            if len(samples) >= MIN_SAMPLES:
+                predicted = {who: predict(samples, every) for who, predict in predictors.items()}
+                found += validation.judge_wrench(
+                    samples.wrench, predicted, "other trial", self.name, other.name
+                )
+        return found
 
     def _note(self, text: str) -> None:
         self.trial.note(f"{self.name}: {text}")

@@ -30,7 +30,7 @@ from socket_testbed.identification.wrench import PoseTrail, WrenchModel
 from socket_testbed.samples import relative_pose
 from socket_testbed.settings.identification import IdentificationSettings, add_variant
 
-_CHUNK = 4096  # samples; a prediction's memory grows with samples times tiles
+_CHUNK = 512  # samples of a prediction at once, whose springs then stay in the cache
 _MAX_SETTLING = 0.02  # [m]; limit for a loaded limb, which bounds the bed's stiffness below
 
 
@@ -650,7 +650,8 @@ class ContactModel:
         A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad];
         the paper's variants use the position only. NaN where a pose is NaN.
         """
-        forces = self._spring_forces(pose)
+        springs = self._springs(self.law.motion(pose))
+        forces = np.einsum("nab,tbn->tna", self.law.frames, springs)
         for name, bias in self.force_bias.items():
             point = self.cluster_points[name]
             forces[:, point] += self.rotations[point] @ bias
@@ -676,24 +677,26 @@ class ContactModel:
         if self.of_wrench is not None:
             return self.of_wrench.predict(pose, stamps, trail)
         motion = self.law.motion(pose)
-        springs = self._springs(motion).reshape(len(motion), -1)
-        wrench = springs @ self.law.onto.reshape(6, -1).T + self.wrench_bias
+        return self._bed_wrench(motion, self._springs(motion))
+
+    def offsets(self, motion: FloatArray) -> FloatArray:
+        """Offsets of the wrench [M; F] in {S} that add to the springs, (N, 6) or (6,) [N m, N].
+
+        They are the constant, and with `rigid_bias` a slope over the motions of the limb since the
+        reference pose, shape (N, m): see `ContactLaw.motion`.
+        """
         if self.wrench_slope.any():
-            wrench += motion @ self.wrench_slope.T
-        return np.asarray(wrench)
+            return np.asarray(self.wrench_bias + motion @ self.wrench_slope.T)
+        return self.wrench_bias
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, by name, each in its tile's frame {L}, shape (N, 3) [N].
 
         A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad].
         """
-        points = list(self.cluster_points.values())
-        forces = self._spring_forces(pose, points)
-        no_bias = np.zeros(3)
-        return {
-            name: forces[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
-            for column, (name, point) in enumerate(self.cluster_points.items())
-        }
+        springs = self._springs(self.law.motion(pose), [*self.cluster_points.values()])
+        forces = self._local_forces(springs, [*self.cluster_points])
+        return dict(zip(self.cluster_points, forces, strict=True))
 
     def trail(self) -> PoseTrail | None:
         """An empty trail, for predictions sample by sample; None if the past does not matter."""
@@ -728,13 +731,19 @@ class ContactModel:
                 "fit a model on a trial that has it",
             )
         predicted = np.empty((len(pose), 6 + 3 * len(clusters)))
+        points = [self.cluster_points[name] for name in clusters]
         trail = trail or self.trail()
         for start in range(0, len(pose), _CHUNK):
             rows = slice(start, start + _CHUNK)
-            local = self.cluster_forces(pose[rows])
-            forces = [local[name] for name in clusters]
-            times = None if stamps is None else stamps[rows]
-            predicted[rows] = np.hstack([self.wrench(pose[rows], times, trail), *forces])
+            motion = self.law.motion(pose[rows])
+            if self.of_wrench is None:
+                springs = self._springs(motion)
+                wrench, springs = self._bed_wrench(motion, springs), springs[:, :, points]
+            else:
+                times = None if stamps is None else stamps[rows]
+                wrench = self.of_wrench.predict(pose[rows], times, trail)
+                springs = self._springs(motion, points)
+            predicted[rows] = np.hstack([wrench, *self._local_forces(springs, clusters)])
         return predicted
 
     def gate_displacements(
@@ -774,9 +783,16 @@ class ContactModel:
         moved = self.law.displacements(motion)[:, :, points] - self.rest_positions[points].T
         return self.stiffness[points].T * self.law.columns(moved)
 
-    def _spring_forces(
-        self, pose: FloatArray, points: list[int] | slice = slice(None)
-    ) -> FloatArray:
-        """Forces of the springs at poses in {S}, shape (N, points, 3) [N]."""
-        springs = self._springs(self.law.motion(pose), points)
-        return np.einsum("nab,tbn->tna", self.law.frames[points], springs)
+    def _bed_wrench(self, motion: FloatArray, springs: FloatArray) -> FloatArray:
+        """Wrenches (N, 6) [N m, N] of springs (N, 3, n) [N] with the offsets at the motions."""
+        onto = self.law.onto.reshape(6, -1).T
+        return springs.reshape(len(motion), -1) @ onto + self.offsets(motion)
+
+    def _local_forces(self, springs: FloatArray, clusters: Sequence[str]) -> list[FloatArray]:
+        """Forces on clusters in their frames {L}, (N, 3) [N] each, of springs (N, 3, c) [N]."""
+        points, no_bias = [self.cluster_points[name] for name in clusters], np.zeros(3)
+        forces = np.einsum("nab,tbn->tna", self.law.frames[points], springs)
+        return [
+            forces[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
+            for column, (name, point) in enumerate(zip(clusters, points, strict=True))
+        ]

@@ -33,6 +33,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -56,7 +57,9 @@ EVIDENCE_POWER = 0.6  # [-]; the prior's laws are no limb's: trust the evidence 
 _TILE_SHARE_SPREAD = 0.03  # [-]; of the load, about the share of the wall that the tiles cover
 _MIN_WEIGHT = 2e-3  # of a hypothesis, relative to the likeliest
 _MAX_SAMPLES = 500  # samples of a trial, evenly spread
-_CHUNK = 256  # samples
+_CHUNK = 256  # samples of products
+_BLOCK = 1024  # samples of a mean
+_MANY = 64  # samples, from which quadratic forms of the variances are worth making
 _DRAW_BATCH = 2048  # samples per batch of joint draws
 _TINY = 1e-12  # [N]
 _MAX_PATTERNS = 16  # cached patterns of present channels; each takes about 1 MB
@@ -232,17 +235,47 @@ class _Conditioned:
         the probabilities of the hypotheses, shape (M,) [-]. Under each hypothesis the squared
         amplitude has the posterior mean (f + y' S^-1 y) / (f + d - 2), d with the earlier channels.
         """
+        if len(measured) >= _MANY:
+            return self._average_many(measured, weights)
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
         forces = measured @ self.gain.reshape(hypotheses * tiles * 4, channels).T
         forces = forces.reshape(count, hypotheses, tiles * 4)
-        freedom = AMPLITUDE_FREEDOM
-        scales = freedom + self.distance(measured)
-        scales *= weights / max(freedom + self.count - 2.0, 1.0)
+        scales = (AMPLITUDE_FREEDOM + self.distance(measured)) * self._shares(weights)
         mean = weights @ forces
         between = weights @ forces**2 - mean**2
         variances = scales @ self.variances.reshape(hypotheses, -1) + np.maximum(between, 0.0)
         return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
+
+    def _average_many(
+        self, measured: FloatArray, weights: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """As `average`: each variance is a constant and a quadratic form in the values.
+
+        The forms are made once, whatever the number of samples.
+        """
+        hypotheses, channels = len(weights), measured.shape[1]
+        gains = self.gain.reshape(hypotheses, -1, channels)
+        within = self._shares(weights)[:, None] * self.variances.reshape(hypotheses, -1)  # (M, 4n)
+        gain = np.tensordot(weights, gains, axes=1)
+        apart = np.swapaxes(np.sqrt(weights)[:, None, None] * (gains - gain), 0, 1)  # (4n, M, d)
+        forms = np.swapaxes(apart, 1, 2) @ apart  # between the hypotheses
+        forms += np.tensordot(within, self.precision, axes=(0, 0))
+        # A form is the sum over pairs of channels, each pair once.
+        one, other = np.triu_indices(channels)
+        pairs = forms[:, one, other] + np.where(one == other, 0.0, forms[:, other, one])
+        mean, variances = np.empty((2, len(measured), len(gain)))
+        for start in range(0, len(measured), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            values = measured[chunk]
+            np.matmul(values, gain.T, out=mean[chunk])
+            np.matmul(values[:, one] * values[:, other], pairs.T, out=variances[chunk])
+        variances += AMPLITUDE_FREEDOM * within.sum(axis=0)
+        return mean.reshape(len(measured), -1, 4), variances.reshape(len(measured), -1, 4)
+
+    def _shares(self, weights: FloatArray) -> FloatArray:
+        """Factors of f + y' S^-1 y in the forces' variances, shape (M,) [-]."""
+        return weights / max(AMPLITUDE_FREEDOM + self.count - 2.0, 1.0)
 
     def distance(self, measured: FloatArray) -> FloatArray:
         """Squared distances y' S^-1 y of the values (N, d + s) by hypothesis, shape (N, M) [-]."""
@@ -313,6 +346,30 @@ class JointDraws:
         np.add(means, errors, out=drawn[:, :half])
         np.subtract(means, errors, out=drawn[:, half:])
         return drawn
+
+    def ordered(self, batch: int) -> Iterator[tuple[slice, FloatArray]]:
+        """The draws of every force in ascending order, shape (k, 3n, D) [N], in batches of samples.
+
+        Args:
+            batch: Number of samples of a batch; of a few, all draws stay in the cache.
+
+        Yields:
+            A slice of the samples, and their draws.
+        """
+        count, half = len(self.rows), len(self.hypotheses)
+        gain = np.swapaxes(self.gain[self.hypotheses], 0, 1)  # (3n, D/2, d)
+        forces, _, channels = gain.shape
+        onto = gain.reshape(-1, channels).T
+        errors, sizes = np.ascontiguousarray(self.errors.T), self.sizes[:, None, self.hypotheses]
+        for start in range(0, count, batch):
+            some = slice(start, min(start + batch, count))
+            means = (self.channels[some] @ onto).reshape(-1, forces, half)
+            missed = sizes[some] * errors
+            draws = np.empty((*means.shape[:2], 2 * half))
+            np.add(means, missed, out=draws[..., :half])
+            np.subtract(means, missed, out=draws[..., half:])
+            draws.sort(axis=-1)
+            yield some, draws
 
     def mean(self) -> FloatArray:
         """The estimate in the tiles' frames: the mean over the hypotheses, shape (k, 3n) [N]."""
@@ -531,21 +588,17 @@ class ForceMap:
         for pattern, rows in _by_pattern(present):
             likely = np.flatnonzero(belief.ordinary)
             conditioned, weights = self._conditioned(pattern)[likely], belief.ordinary[likely]
-            for start in range(0, len(rows), _CHUNK):
-                chunk = rows[start : start + _CHUNK]
-                measured = values[chunk][:, conditioned.present]
-                forces[chunk], variances[chunk] = conditioned.average(measured, weights)
+            measured = values[rows][:, conditioned.present]
+            forces[rows], variances[rows] = conditioned.average(measured, weights)
             like = rows[loads[rows].any(axis=1)]
             if not len(like):
                 continue
             likely = np.flatnonzero(belief.surveyed)
             conditioned, weights = self._conditioned(pattern, True)[likely], belief.surveyed[likely]
-            for start in range(0, len(like), _CHUNK):
-                chunk = like[start : start + _CHUNK]
-                measured = np.hstack([values[chunk][:, conditioned.present], loads[chunk]])
-                surveyed = conditioned.average(measured, weights)
-                ordinary = forces[chunk], variances[chunk]
-                forces[chunk], variances[chunk] = _mixed(ordinary, surveyed, belief.share)
+            measured = np.hstack([values[like][:, conditioned.present], loads[like]])
+            surveyed = conditioned.average(measured, weights)
+            ordinary = forces[like], variances[like]
+            forces[like], variances[like] = _mixed(ordinary, surveyed, belief.share)
         areas, deviations = self._areas, np.sqrt(variances)
         vectors, normal = forces[..., :3], forces[..., 3]
         across = vectors - normal[..., None] * self._normals
@@ -573,9 +626,9 @@ class ForceMap:
         # Sums over the samples: of means, and of the squares of standard deviations.
         forces, force_squares = np.zeros((2, 1, tiles, 3))
         pressure, pressure_squares, shear, shear_squares = np.zeros((4, 1, tiles))
-        for start in range(0, count, _CHUNK):
-            chunk = slice(start, start + _CHUNK)
-            found = self._estimate(values[chunk], present[chunk], weights)
+        for start in range(0, count, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            found = self._estimate(values[block], present[block], weights)
             forces += found.forces.sum(axis=0)
             force_squares += (found.standard_deviations**2).sum(axis=0)
             pressure += found.normal_pressure.sum(axis=0)
@@ -824,10 +877,13 @@ def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
-    """Each pattern of present channels with the indices of its samples, the earliest first."""
-    patterns, firsts, of_row = np.unique(present, axis=0, return_index=True, return_inverse=True)
-    for number in np.argsort(firsts).tolist():
-        yield patterns[number].tobytes(), np.flatnonzero(of_row.ravel() == number)
+    """Each pattern of present channels with the indices of its samples."""
+    changes = np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1
+    edges = [0, *changes.tolist(), len(present)] if len(present) else []
+    runs: dict[bytes, list[IntArray]] = {}
+    for start, stop in pairwise(edges):
+        runs.setdefault(present[start].tobytes(), []).append(np.arange(start, stop))
+    return ((pattern, np.concatenate(some)) for pattern, some in runs.items())
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:

@@ -74,9 +74,8 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
         model: The model; a separate model of the wrench, if it has one, is ignored.
     """
     bed = replace(model, of_wrench=None)
-    alone = replace(bed, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
-    springs = alone.predict(samples.pose, ())
-    offsets = bed.predict(samples.pose, ()) - springs
+    offsets = np.broadcast_to(bed.offsets(bed.law.motion(samples.pose)), samples.wrench.shape)
+    springs = bed.predict(samples.pose, ()) - offsets
     found = []
     for name, part in (("Fz", slice(5, 6)), ("force", FORCES), ("moment", MOMENTS)):
         measured = samples.wrench[:, part]

@@ -19,18 +19,18 @@ docs/identification.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from socket_testbed.arrays import BoolArray, FloatArray, evenly
+from socket_testbed.arrays import BoolArray, FloatArray, evenly, finite_mean
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.fit import QUOTED, evaluate, summarise_errors
+from socket_testbed.identification.fit import QUOTED
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import (
     BoxQP,
@@ -215,8 +215,7 @@ def pareto_front(
         IdentificationError: If the wrench or the clusters have no channel in the objective, if no
             theta gives a sound solution, or if the samples cannot be fitted.
     """
-    settings = replace(settings, variant=PAPER_VARIANTS[0])
-    objective = build_objective(samples, geometry, settings)
+    objective = build_objective(samples, geometry, replace(settings, variant=PAPER_VARIANTS[0]))
     objective = objective.part(evenly(len(objective.samples), _MAX_SAMPLES))
     if not objective.wrench_counts.any() or not objective.channels:
         group = "clusters" if objective.wrench_counts.any() else "wrench"
@@ -224,10 +223,13 @@ def pareto_front(
             f"no channel of the {group} is in the objective: there is nothing to trade off",
             "leave fewer channels out, or fit a single model with 'fit'",
         )
+    problems = {
+        variant: Problem(objective.with_settings(variant=variant)) for variant in PAPER_VARIANTS
+    }
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in PAPER_VARIANTS}
     last: dict[str, FloatArray] = {}
     for done, theta in enumerate(thetas, start=1):
-        for variant, point in _solve_at(objective, float(theta), last).items():
+        for variant, point in _solve_at(problems, float(theta), last).items():
             points[variant].append(point)
         progress(done, len(thetas))
     channels = objective.names
@@ -241,54 +243,65 @@ def pareto_front(
 
 
 def _solve_at(
-    objective: Objective, theta: float, last: dict[str, FloatArray]
+    problems: Mapping[Variant, Problem], theta: float, last: dict[str, FloatArray]
 ) -> dict[Variant, FrontPoint]:
-    """The solution of each variant at a theta; each program starts from its last solution."""
-    settings = objective.settings
+    """The solution of each variant at a theta; each program starts from its last solution.
+
+    Stage 1 and the moments at its rest positions are the same for all variants.
+    """
+    problems = {variant: problem.at(theta) for variant, problem in problems.items()}
+    first = next(iter(problems.values()))
+    settings, names = first.settings, first.objective.names
 
     def solve(program: BoxQP, kind: str) -> BoxSolution:
         found = solve_box_qp(program, settings.solver, settings.solver_tolerance, last.get(kind))
         last[kind] = found.x
         return found
 
-    problem = Problem(objective.with_settings(theta=theta))
-    stage_one = problem.stage_one()
+    stage_one = first.stage_one()
     try:
         rest = solve(stage_one, "rest positions")
     except UncertifiedSolutionError as error:
-        return dict.fromkeys(PAPER_VARIANTS, _flawed(objective, theta, error))
-    x = problem.start.copy()
+        return dict.fromkeys(problems, _flawed(theta, len(names), error))
+    x = first.start.copy()
     x[3:] = rest.x.reshape(3, -1)
-    moments = problem.moments(x)
-    wrench = int(objective.wrench_counts.sum())
-    wrench_shares = objective.wrench_shares[objective.wrench_counts]
+    moments = first.moments(x)
     points = {}
-    for variant in PAPER_VARIANTS:
-        problem = Problem(objective.with_settings(theta=theta, variant=variant))
+    for variant, problem in problems.items():
         stage_two = problem.stage_two(moments)
         try:
             springs = solve(stage_two, variant)
         except UncertifiedSolutionError as error:
-            points[variant] = _flawed(objective, theta, error)
+            points[variant] = _flawed(theta, len(names), error)
             continue
-        model = problem.model(np.vstack([springs.x.reshape(3, -1), x[3:]]))
-        errors = evaluate(objective.samples, model, settings.leave_out)
-        rmse = np.array([error.rmse for error in errors if error.in_objective])
+        x[:3] = springs.x.reshape(3, -1)
         points[variant] = FrontPoint(
             theta=theta,
             residual=max(springs.certificate.worst, rest.certificate.worst),
-            rmse=rmse,
             flaw=_undetermined(stage_two, springs) or _undetermined(stage_one, rest),
-            wrench_error=float(np.sqrt(wrench_shares @ rmse[:wrench] ** 2)),
-            local_error=float(np.sqrt(objective.channel_shares @ rmse[wrench:] ** 2)),
-            **summarise_errors(errors).quoted,
+            **_errors(problem.objective, problem.rmse(x, moments)),
         )
     return points
 
 
-def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
+def _errors(objective: Objective, rmse: FloatArray) -> dict[str, Any]:
+    """The fields of a `FrontPoint` that follow from its `rmse`, with it."""
+    counts = objective.wrench_counts
+    moments, forces, local = np.split(rmse, np.cumsum([counts[:3].sum(), counts[3:].sum()]))
+    wrench = np.concatenate([moments, forces])
+    return {
+        "rmse": rmse,
+        "wrench_error": float(np.sqrt(objective.wrench_shares[counts] @ wrench**2)),
+        "local_error": float(np.sqrt(objective.channel_shares @ local**2)),
+        "mean_moment_rmse": finite_mean(moments),
+        "mean_force_rmse": finite_mean(forces),
+        "median_local_rmse": finite_mean(local, np.median),
+    }
+
+
+def _flawed(theta: float, channels: int, error: UncertifiedSolutionError) -> FrontPoint:
     """The point at a theta for which a stage was not certified."""
-    return FrontPoint(theta, error.residual, np.full(len(objective.names), np.nan), error.fact)
+    return FrontPoint(theta, error.residual, np.full(channels, np.nan), error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:

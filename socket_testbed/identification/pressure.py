@@ -57,9 +57,9 @@ _QUANTILES = (0.025, 0.5, 0.975)  # [-]
 _RAISED = ("peak", "area", "integral", "shear")  # their draws exceed the value on average
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
-# Samples whose draws are expanded at a time: on regions, and on all tiles. A few megabytes of them
-# stay in the processor's own memory.
-_REGIONAL_BATCH, _TILES_BATCH = 32, 4
+# Samples whose draws are expanded at a time: on all tiles, and on regions in order. A few megabytes
+# of them stay in the processor's own memory.
+_TILES_BATCH, _ORDERED_BATCH = 4, 8
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 _MIN_EXTENT = 1e-9  # [m]; of a region of a single tile, whose centre of pressure is certain
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
@@ -292,10 +292,12 @@ class PressureOutputs:
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
             regional = draws.mapped(mapping)
-            for start in range(0, len(draws.rows), _REGIONAL_BATCH):
-                some = regional[start : start + _REGIONAL_BATCH]
-                part = self.by_region.interval("mean", some.mean(), some.values())
-                _store(found, part, kept[some.rows])
+            value, last = regional.mean(), np.full((1, 1, 1), _DRAWS - 1)
+            low, high = np.empty((2, *value.shape))
+            for some, ordered in regional.ordered(_ORDERED_BATCH):
+                low[some], _, high[some] = _read_quantiles(ordered, last)
+            low, high = np.minimum(low, value), np.maximum(high, value)
+            _store(found, Quantity(value, low, high, np.abs(value)), kept[regional.rows])
         return found
 
 
@@ -505,6 +507,21 @@ def pressure_outputs(
     )
 
 
+def highest_row(force_map: ForceMap, samples: Samples, geometry: SocketGeometry) -> int:
+    """Index of the sample with the highest pressure on a tile, by the mean of the map.
+
+    Args:
+        force_map: The force map of the socket and its clusters.
+        samples: N samples, at least one.
+        geometry: The socket.
+    """
+    highest = np.empty(len(samples))
+    for draws in force_map.sample(samples, _DRAWS):
+        compression = -draws.mean()[:, 2::3]
+        highest[draws.rows] = (compression / geometry.areas).max(axis=1)
+    return int(highest.argmax())
+
+
 def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Fields:
     """Fields of forces in the tiles' frames, which may be flattened, shape (k, D, 3n) [N]."""
     forces = forces.reshape(*forces.shape[:2], -1, 3)
@@ -565,7 +582,13 @@ def contact_of(
 def _quantiles(drawn: FloatArray) -> FloatArray:
     """`_QUANTILES` of the draws along the last axis, without NaN, shape (3, ...)."""
     ordered = np.sort(drawn, axis=-1)  # NaN comes last
-    last = np.maximum(np.isfinite(drawn).sum(axis=-1, keepdims=True) - 1, 0)
+    return _read_quantiles(
+        ordered, np.maximum(np.isfinite(drawn).sum(axis=-1, keepdims=True) - 1, 0)
+    )
+
+
+def _read_quantiles(ordered: FloatArray, last: IntArray) -> FloatArray:
+    """`_QUANTILES` of ascending values up to the index `last`, (..., 1), of the last axis."""
     place = last * np.array(_QUANTILES)
     below = place.astype(np.int64)
     low = np.take_along_axis(ordered, below, axis=-1)

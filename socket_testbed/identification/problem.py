@@ -32,6 +32,7 @@ Forces are linear in the stiffnesses, so
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -296,12 +297,14 @@ class Moments:
         mean: Means of S, shape (p,) [m].
         gram: Centred mean products of S with itself, shape (p, p) [m^2].
         target_mean: Means of Y, shape (m,) [N m, N].
+        target_variance: Variances of Y, shape (m,) [(N m)^2, N^2].
         cross: Centred mean products of S with Y, shape (p, m) [N m^2, N m].
     """
 
     mean: FloatArray
     gram: FloatArray
     target_mean: FloatArray
+    target_variance: FloatArray
     cross: FloatArray
 
     def products(self, centred: bool) -> tuple[FloatArray, FloatArray]:
@@ -310,6 +313,23 @@ class Moments:
             return self.gram, self.cross
         gram = self.gram + np.outer(self.mean, self.mean)
         return gram, self.cross + np.outer(self.mean, self.target_mean)
+
+    def rmse(self, gains: FloatArray, with_offset: bool) -> FloatArray:
+        """RMSE of the predictions S g of the targets, shape (m,) [N m, N].
+
+        It is as precise as the square root of the rounding of the targets' variances.
+
+        Args:
+            gains: Coefficients g, shape (p, m) [N, N/m].
+            with_offset: Whether the predictions have the best constant offsets.
+        """
+        explained = 2.0 * (self.cross * gains).sum(axis=0) - (gains * (self.gram @ gains)).sum(
+            axis=0
+        )
+        square = np.maximum(self.target_variance - explained, 0.0)
+        if not with_offset:
+            square += (self.target_mean - self.mean @ gains) ** 2
+        return np.asarray(np.sqrt(square))
 
 
 @dataclass(frozen=True)
@@ -361,7 +381,6 @@ class Problem:
     """
 
     def __init__(self, objective: Objective) -> None:
-        self.objective = objective
         settings, geometry, pose = objective.settings, objective.geometry, objective.samples.pose
         kind = law_of(settings.variant)
         sharpness, reference = getattr(settings, kind.SHARPNESS), kind.reference_of(pose, settings)
@@ -370,16 +389,31 @@ class Problem:
         size = -(-len(pose) // law.MAX_ROWS) if law.MAX_ROWS else 1
         self._motion = _block_means(law.motion(pose), size)
         self._wrench = _block_means(objective.wrench, size)
-        self._weights = settings.theta * objective.wrench_shares
-        shares = (1.0 - settings.theta) * objective.channel_shares
         self.channels = [  # averaged over blocks of samples, in the law's frames
             replace(
                 channel,
                 direction=channel.direction @ law.frames[channel.point],
                 measured=_block_means(channel.measured, size),
-                weight=float(share),
             )
-            for channel, share in zip(objective.channels, shares, strict=True)
+            for channel in objective.channels
+        ]
+        self._weigh(objective)
+
+    def at(self, theta: float) -> Problem:
+        """The same problem at another theta, 0 to 1 [-]."""
+        found = copy(self)
+        found._weigh(self.objective.with_settings(theta=theta))
+        return found
+
+    def _weigh(self, objective: Objective) -> None:
+        """Weights of the channels by theta, and what the law makes of them: scales and prior."""
+        self.objective = objective
+        settings, geometry, law = objective.settings, objective.geometry, self.law
+        self._weights = settings.theta * objective.wrench_shares
+        shares = (1.0 - settings.theta) * objective.channel_shares
+        self.channels = [
+            replace(channel, weight=float(share))
+            for channel, share in zip(self.channels, shares, strict=True)
         ]
         zero = float(self._weights @ (self._wrench**2).mean(axis=0))
         zero += sum(c.weight * float(np.mean(c.force**2)) for c in self.channels)
@@ -448,7 +482,11 @@ class Problem:
         count = len(self._motion)
         shift = total / count
         wrench = Moments(
-            pivot + shift, gram / count - np.outer(shift, shift), target_mean, cross / count
+            mean=pivot + shift,
+            gram=gram / count - np.outer(shift, shift),
+            target_mean=target_mean,
+            target_variance=self._wrench.var(axis=0),
+            cross=cross / count,
         )
         local = (
             _moments(own[channel.rows], channel.force[:, None])
@@ -498,6 +536,24 @@ class Problem:
         P = data + self._spread[0][np.ix_(free, free)]
         P += _JITTER / _normalisation(P) * np.eye(len(free))
         return float(np.trace(np.linalg.solve(P, data)))
+
+    def rmse(self, x: FloatArray, moments: list[Moments]) -> FloatArray:
+        """RMSE of the channels in the objective, the wrench's first, shape (m,) [N m, N].
+
+        They follow from the moments, without a prediction; offsets are constants.
+
+        Args:
+            x: Scaled parameters, shape (6, n) [-].
+            moments: Moments of the data at their rest displacements, as `moments` returns them.
+        """
+        stiffness = (x * self._scale)[:3]
+        gains = (self.law.onto * stiffness).reshape(6, -1).T
+        wrench = moments[0].rmse(gains, self._with_offsets)[self.objective.wrench_counts]
+        local = [
+            own.rmse((channel.direction * stiffness[:, channel.point])[:, None], self._with_offsets)
+            for channel, own in zip(self.channels, moments[1:], strict=True)
+        ]
+        return np.concatenate([wrench, *local])
 
     def _blocks(self) -> Iterator[slice]:
         """Blocks of rows, to bound the memory."""
@@ -667,6 +723,8 @@ class Problem:
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:
     """Means of the finite values (N, ...) over blocks of `size` rows; NaN without any."""
+    if size == 1:
+        return values
     starts = np.arange(0, len(values), size)
     known = np.isfinite(values)
     total = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
@@ -678,7 +736,13 @@ def _moments(columns: FloatArray, targets: FloatArray) -> Moments:
     """Moments of columns (N, p) and targets (N, m)."""
     mean, target_mean = columns.mean(axis=0), targets.mean(axis=0)
     S, Y = columns - mean, targets - target_mean
-    return Moments(mean, S.T @ S / len(S), target_mean, S.T @ Y / len(S))
+    return Moments(
+        mean=mean,
+        gram=S.T @ S / len(S),
+        target_mean=target_mean,
+        target_variance=(Y**2).mean(axis=0),
+        cross=S.T @ Y / len(S),
+    )
 
 
 def _normalised(

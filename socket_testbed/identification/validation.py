@@ -61,6 +61,7 @@ Question = Literal["cluster", "wrench", "tiles"]
 Test = Literal["left out", "in-sample", "second half", "other trial"]
 """Relation of the test samples to those of the fit: the left-out cluster, the second half and the
 other trial are unseen; in-sample data is not."""
+_HALVES: tuple[Test, Test] = ("in-sample", "second half")
 
 
 @dataclass(frozen=True)
@@ -162,8 +163,9 @@ def close_wrench(
     return forces + change.reshape(forces.shape)
 
 
-WrenchPredictor = Callable[[Samples], FloatArray]
-"""From the stamps and poses of N samples to wrenches [M; F] in {S}, shape (N, 6) [N m, N]."""
+WrenchPredictor = Callable[[Samples, IntArray], FloatArray]
+"""From the stamps and poses of N samples to the wrenches [M; F] in {S} at k rows of them, shape
+(k, 6) [N m, N]; the other samples are the past that a predictor with memory knows."""
 
 
 def wrench_predictors(
@@ -178,46 +180,46 @@ def wrench_predictors(
     """
     mean, middle = samples.wrench.mean(axis=0), np.append(np.zeros(3), samples.attitude)
     slope, constant = regress_wrench(samples, relative_pose(samples.pose, middle))
+
+    def regression(others: Samples, rows: IntArray) -> FloatArray:
+        return np.asarray(constant + relative_pose(others.pose[rows], middle) @ slope.T)
+
     return {
-        CONSTANT: lambda others: np.tile(mean, (len(others), 1)),
-        REGRESSION: lambda others: constant + relative_pose(others.pose, middle) @ slope.T,
+        CONSTANT: lambda others, rows: np.tile(mean, (len(rows), 1)),
+        REGRESSION: regression,
         **{name: partial(_wrench_of, model) for name, model in models.items()},
     }
 
 
-def _wrench_of(model: ContactModel, samples: Samples) -> FloatArray:
-    """Wrenches of a model at the samples, as a `WrenchPredictor`."""
-    return model.wrench(samples.pose, samples.stamps)
+def _wrench_of(model: ContactModel, samples: Samples, rows: IntArray) -> FloatArray:
+    """Wrenches of a model at rows of the samples, as a `WrenchPredictor`."""
+    if model.trail() is None:  # the past does not matter
+        return model.wrench(samples.pose[rows])
+    return model.wrench(samples.pose, samples.stamps)[rows]
 
 
 def judge_wrench(
-    samples: Samples,
-    predictors: Mapping[str, WrenchPredictor],
+    measured: FloatArray,
+    predicted: Mapping[str, FloatArray],
     test: Test,
     fitted_on: str = "",
     tested_on: str = "",
-    rows: IntArray | None = None,
 ) -> Iterator[Judgement]:
     """Judge predictions of the wrench from the pose alone; a judgement for each predictor.
 
     Means leave out wrench channels without a value.
 
     Args:
-        samples: Samples of the trial, poses averaged as in the fits.
-        predictors: From samples to wrenches, by name.
+        measured: Measured wrenches [M; F] in {S} of the test, shape (k, 6) [N m, N].
+        predicted: Predictions of these, by the name of the predictor, shape (k, 6) each [N m, N].
         test: Relation of the samples to those of the fit.
         fitted_on: Name of the trial of the fit.
         tested_on: Name of the trial of the samples.
-        rows: Indices of the k samples of the test, with every pose and wrench, such as those
-            `under_load`, shape (k,); None for all. The others are the past that a predictor with
-            memory knows.
     """
-    rows = np.arange(len(samples)) if rows is None else rows
-    measured = samples.wrench[rows]
     constant = np.array([fit.deviation(channel) for channel in measured.T])
-    for name, predict in predictors.items():
-        rmse = np.sqrt(np.mean((predict(samples)[rows] - measured) ** 2, axis=0))
-        figures: dict[str, Any] = {"samples": len(rows)}
+    for name, wrench in predicted.items():
+        rmse = np.sqrt(np.mean((wrench - measured) ** 2, axis=0))
+        figures: dict[str, Any] = {"samples": len(measured)}
         for kind, part in (("moment", MOMENTS), ("force", FORCES)):
             error = finite_mean(rmse[part])
             skill = fit.skill_of(error, finite_mean(constant[part]))
@@ -451,10 +453,14 @@ def judge_samples(
     found = judge_map(samples, geometry, settings, name, prior_map)
     models = fit_variants(samples[first], geometry, settings.identification, notify)
     samples = smooth_poses(samples, settings.identification.pose_smoothing)
-    predictors = wrench_predictors(samples[first], models)
     seen, unseen = (half[evenly(len(half), _MAX_WRENCHES)] for half in (first, second))
-    found += judge_wrench(samples, predictors, "in-sample", name, name, seen)
-    found += judge_wrench(samples, predictors, "second half", name, name, unseen)
+    rows = np.concatenate([seen, unseen])
+    predictors = wrench_predictors(samples[first], models)
+    predicted = {who: predict(samples, rows) for who, predict in predictors.items()}
+    measured, parts = samples.wrench[rows], (slice(len(seen)), slice(len(seen), None))
+    for part, test in zip(parts, _HALVES, strict=True):
+        of_part = {who: wrench[part] for who, wrench in predicted.items()}
+        found += judge_wrench(measured[part], of_part, test, name, name)
     if truth is not None:
         rows = second[evenly(len(second), MAX_SAMPLES)]
         estimators = field_estimators(geometry, settings.force_map, prior_map) | {

@@ -41,7 +41,7 @@ from socket_testbed.identification.pressure import (
 )
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.options import Side
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.events import Event
 
 _INTEGRAL = "pressure-time integral [kPa s]"
 _BAR_TITLES = (
@@ -228,23 +228,31 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
     return found
 
 
-def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
+def trial_document(
+    geometry: SocketGeometry,
+    side: Side | None,
+    events: Iterable[Event],
+    outputs: PressureOutputs,
+    time: FloatArray,
+) -> Document:
     """The socket of a trial, and its course.
 
     Args:
-        trial: The trial.
+        geometry: The socket.
+        side: The leg; None if unknown.
+        events: The events of the trial.
         outputs: Pressure outputs at N of its samples, whose last region is the socket.
         time: Times of these samples since the first one of the trial, shape (N,) [s].
 
     Returns:
         `socket` as in `socket_document` and `course` as in `course`.
     """
-    force = axial_force(trial.geometry, outputs.samples.wrench)
+    force = axial_force(geometry, outputs.samples.wrench)
     peak = outputs.series.peak.part((..., -1))
-    events = [(event.time, event.label) for event in trial.events()]
+    marks = [(event.time, event.label) for event in events]
     return {
-        "socket": socket_document(trial.geometry, trial.metadata.side),
-        "course": course(time, force, peak, events),
+        "socket": socket_document(geometry, side),
+        "course": course(time, force, peak, marks),
     }
 
 

@@ -45,10 +45,12 @@ class Player:
         time = 1e-9 * (found.samples.stamps - samples.stamps[0])
         rows = evenly(len(samples), _INTEGRAL_SAMPLES)
         self._integral = self._mapped.outputs(rows).regions.integral
-        facts = trial.metadata.described()
+        metadata = trial.metadata
+        facts = metadata.described()
         if prior is not None:
             facts = facts | {"map from": mapped.force_map.source(mapped.samples)}
-        self._start = document.trial_document(trial, found, time) | {
+        socket = trial.geometry, metadata.side
+        self._start = document.trial_document(*socket, trial.events(), found, time) | {
             "title": trial.name,
             "facts": facts,
             "start": float(time[found.peak_row]),

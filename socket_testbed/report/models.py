@@ -287,7 +287,7 @@ def _tile_map(
     columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
     columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
     maps = {f"{symbol} along {axis} of {frame}": column for axis, column in _by_axis(values)}
-    heading, side = f"{results.trial.name}: {title}", results.trial.metadata.side
+    heading, side = f"{results.trial.name}: {title}", results.metadata.side
     return ReportFigure(
         name,
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
@@ -325,7 +325,7 @@ def _engaged_springs(results: Results) -> ReportFigure:
             results.title("Engaged springs"),
             style,
             limits=(0.0, 100.0),
-            side=results.trial.metadata.side,
+            side=results.metadata.side,
             below=(_SERIES_HEIGHT, draw_lines),
         )
 

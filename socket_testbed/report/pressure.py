@@ -43,7 +43,7 @@ def page_data(results: Results) -> dict[str, Any]:
     `moments` and `mean` (over the segment, without a time), `cards`, `bars`; and `extras`, the
     models' parameters on the tiles, each with `values` and `unit`.
     """
-    found, trial, over_trial = results.pressure, results.trial, results.over_trial
+    found, over_trial = results.pressure, results.over_trial
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
     measured = pd.DataFrame(document.measured_pressure(outputs.samples, geometry))
@@ -53,7 +53,8 @@ def page_data(results: Results) -> dict[str, Any]:
     moments = document.moments(time, over_trial, geometry)
     at_peak = moments[int(np.abs(time - found.peak_time).argmin())]
     at_peak["words"] = f"at {found.peak_time:.2f} s, the peak {_span(found)}"
-    return document.trial_document(trial, over_trial, time) | {
+    side, events = results.metadata.side, results.events
+    return document.trial_document(geometry, side, events, over_trial, time) | {
         "start": found.peak_time,
         "moments": moments,
         "mean": mean | {"time": None, "words": f"mean over {found.segment}", "highest": "highest"},

@@ -52,7 +52,7 @@ _COLOURS = (BLUE, VERMILION)  # of force and moment
 
 def section(results: Results) -> Section:
     """The section on the data of a trial."""
-    samples, limits = results.trial.samples(), results.settings.plateau
+    samples, limits = results.measured, results.settings.plateau
     return Section(
         "quality",
         "Data quality",
@@ -74,7 +74,7 @@ def section(results: Results) -> Section:
 
 
 def _overview(results: Results) -> ReportFigure:
-    samples, states = results.samples, states_by_channel(results.trial.samples())
+    samples, states = results.samples, states_by_channel(results.measured)
     lacking = {name: state != Status.OK for name, state in states.items()}
     loads = {
         "force magnitude [N]": force_magnitude(samples.wrench),
@@ -150,7 +150,7 @@ def list_notes(results: Results) -> Iterator[str]:
         label: share_warning(found.load_shares()) for label, found in results.candidates.items()
     }
     yield from (f"{label}: {warning}." for label, warning in warnings.items() if warning)
-    if results.trial.metadata.side is None:
+    if results.metadata.side is None:
         yield f"{results.trial.name}: {NO_SIDE}."
     if not geometry.registration:
         yield f"{results.trial.name}: {geometry.bodies}."

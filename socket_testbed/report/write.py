@@ -94,7 +94,7 @@ def write_report(
             f"{results.pressure.segment}",
             groups,
             pressure.page_data(results),
-            metadata=results.trial.metadata.described(),
+            metadata=results.metadata.described(),
             folder=folder.name,
             figures=style is not None,
         )

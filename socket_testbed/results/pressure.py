@@ -24,6 +24,7 @@ from socket_testbed.identification.pressure import (
     TITLES,
     PressureOutputs,
     columns_of,
+    highest_row,
     normal_quantity,
     pressure_outputs,
     read_column,
@@ -51,7 +52,6 @@ Each is a dictionary with a `value`, the ends `low` and `high` of its 95 % inter
 is `uncertain`.
 """
 
-_BLOCK = 4096  # samples
 CENTRE_TITLES = [title for title in TITLES if title.startswith("centre of pressure")]
 TILE_TITLES = tuple(t for t in TITLES if t not in (*CENTRE_TITLES, "contact area [cm^2]"))
 _ROW_KEYS = ("value", "low", "high", "uncertain")
@@ -245,11 +245,8 @@ class TrialMap(Result):
         Returns:
             The outputs with the chosen samples in the order of time and one region, the socket.
         """
-        count = len(self.samples)
-        blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
-        pressures = (self.force_map.estimate(self.samples[rows]).normal_pressure for rows in blocks)
-        highest = np.concatenate([found.max(axis=1) for found in pressures]).argmax()
-        rows = np.union1d(evenly(count, most), [highest, *also])
+        highest = highest_row(self.force_map, self.samples, self.trial.geometry)
+        rows = np.union1d(evenly(len(self.samples), most), [highest, *also])
         return replace(self, places=self.places[-1:]).outputs(rows)
 
     def draws(self, count: int = 200) -> FloatArray:

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import information
+from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.noise import ChannelNoise
@@ -22,8 +24,15 @@ from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.results.models import Evaluation, fit_segment, judge
 from socket_testbed.results.pressure import TrialPressure, map_trial
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
+from socket_testbed.settings.identification import (
+    PAPER_VARIANTS,
+    VARIANTS,
+    IdentificationSettings,
+    Variant,
+)
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.events import Event
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import read_true_forces
@@ -39,7 +48,10 @@ class Results:
 
     Attributes:
         trial: The trial.
-        samples: All N samples of the trial; outliers are NaN.
+        metadata: What was stated on the trial, such as the side of the limb.
+        events: Its events in the order of their times.
+        measured: All N samples of the trial as measured.
+        samples: These samples; outliers are NaN.
         noise: Noise of every channel over these samples.
         segment: The part used for the fits; with `frames` only its first samples.
         specification: The segment as requested, such as `plateau`.
@@ -61,6 +73,9 @@ class Results:
     """
 
     trial: Trial
+    metadata: TrialMetadata
+    events: tuple[Event, ...]
+    measured: Samples
     samples: Samples
     noise: ChannelNoise
     segment: Segment
@@ -139,54 +154,27 @@ def compute_results(
         progress: Called with the number of stages done and their total.
         prior: A survey of the limb as a prior of the force map; None for none.
     """
-    identification, leave_out = settings.identification, settings.identification.leave_out
-    checked = trial.checked(leave_out)
-    samples = checked.samples
+    identification = settings.identification
+    checked = trial.checked(identification.leave_out)
     whole = trial.select(specification, settings)
-    segment = first_frames(whole, samples, identification.frames)
-    notes: list[str] = []
+    segment = first_frames(whole, checked.samples, identification.frames)
     chosen = checked.part(segment.rows)
     progress(1, _STAGES)
-    candidates: dict[str, Evaluation] = {}
-    for variant in VARIANTS:
-        if variant in PAPER_VARIANTS or variant == identification.variant:
-            own = replace(identification, variant=variant)
-            fitted = fit_segment(trial, segment, chosen, own)
-            candidates[variant] = judge(trial, fitted.fit, segment)
-    if given is not None:
-        if {*given.settings.leave_out} != {*leave_out}:
-            notes.append(f"the {GIVEN} model leaves out what its fit did, outliers as well")
-        candidates[GIVEN] = judge(trial, given, segment)
+    candidates = _judged_models(trial, segment, chosen, identification, given)
     progress(2, _STAGES)
-    # The report may lack a front or a validation.
-    fronts, validation, no_fronts, no_validation = {}, [], "", ""
-    try:
-        fronts = pareto_front(chosen, trial.geometry, identification, thetas)
-    except IdentificationError as error:
-        no_fronts = str(error)
+    fronts, no_fronts = _traced_fronts(chosen, trial.geometry, identification, thetas)
     progress(3, _STAGES)
-    truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
-    try:
-        validation = judge_samples(
-            checked.counted,
-            trial.geometry,
-            settings,
-            truth,
-            trial.name,
-            notes.append,
-            checked.prior_map(settings.force_map, prior),
-        )
-    except IdentificationError as error:
-        no_validation = str(error)
+    notes = _notes_on(given, identification)
+    validation, no_validation = _validated(trial, checked, settings, prior, notes.append)
     progress(4, _STAGES)
-    mapped = map_trial(trial, settings, prior=prior)
-    pressure = mapped.part(whole).pressure()
-    peak = whole.rows.start + pressure.outputs.peak_row
-    over_trial = mapped.course(_PRESSURE_SAMPLES, [peak])
+    pressure, over_trial = _mapped_pressure(trial, whole, settings, prior)
     progress(_STAGES, _STAGES)
     return Results(
         trial=trial,
-        samples=samples,
+        metadata=trial.metadata,
+        events=tuple(trial.events()),
+        measured=checked.measured,
+        samples=checked.samples,
         noise=checked.noise,
         segment=segment,
         specification=specification,
@@ -198,8 +186,78 @@ def compute_results(
         bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
         data=checked.findings,
         motion=information.measure_motion(chosen, trial.geometry, identification.pose_smoothing),
-        validation=tuple(validation),
+        validation=validation,
         no_validation=no_validation,
         pressure=pressure,
         over_trial=over_trial,
     )
+
+
+def _judged_models(
+    trial: Trial,
+    segment: Segment,
+    chosen: Samples,
+    identification: IdentificationSettings,
+    given: FittedModel | None,
+) -> dict[str, Evaluation]:
+    """The paper's variants and that of the settings, fitted on the segment, then the given model.
+
+    Each is judged on the segment, whose samples are `chosen`.
+    """
+    variants = [v for v in VARIANTS if v in PAPER_VARIANTS or v == identification.variant]
+    models: dict[str, FittedModel] = {
+        variant: fit_segment(trial, segment, chosen, replace(identification, variant=variant)).fit
+        for variant in variants
+    }
+    if given is not None:
+        models[GIVEN] = given
+    return {label: judge(trial, model, segment) for label, model in models.items()}
+
+
+def _notes_on(given: FittedModel | None, identification: IdentificationSettings) -> list[str]:
+    """A note on a given model that does not leave out the channels of the settings."""
+    if given is None or {*given.settings.leave_out} == {*identification.leave_out}:
+        return []
+    return [f"the {GIVEN} model leaves out what its fit did, outliers as well"]
+
+
+def _traced_fronts(
+    chosen: Samples,
+    geometry: SocketGeometry,
+    identification: IdentificationSettings,
+    thetas: Sequence[float] | FloatArray,
+) -> tuple[dict[Variant, Front], str]:
+    """The fronts over theta on the samples of the segment, or none and the reason."""
+    try:
+        return pareto_front(chosen, geometry, identification, thetas), ""
+    except IdentificationError as error:
+        return {}, str(error)
+
+
+def _validated(
+    trial: Trial,
+    checked: CheckedSamples,
+    settings: EstimatorSettings,
+    prior: SurveyPrior | None,
+    notify: Callable[[str], None],
+) -> tuple[tuple[Judgement, ...], str]:
+    """Judgements on held-out data of the trial, or none and the reason."""
+    truth = read_true_forces(trial.path, checked.samples.stamps, trial.geometry.names)
+    prior_map = checked.prior_map(settings.force_map, prior)
+    try:
+        found = judge_samples(
+            checked.counted, trial.geometry, settings, truth, trial.name, notify, prior_map
+        )
+    except IdentificationError as error:
+        return (), str(error)
+    return tuple(found), ""
+
+
+def _mapped_pressure(
+    trial: Trial, whole: Segment, settings: EstimatorSettings, prior: SurveyPrior | None
+) -> tuple[TrialPressure, PressureOutputs]:
+    """Pressure outputs over the whole segment, and those of the socket over the trial."""
+    mapped = map_trial(trial, settings, prior=prior)
+    pressure = mapped.part(whole).pressure()
+    peak = whole.rows.start + pressure.outputs.peak_row
+    return pressure, mapped.course(_PRESSURE_SAMPLES, [peak])

@@ -241,6 +241,14 @@ def test_the_relation_of_errors_is_in_words(inside: tuple[bool, ...], words: str
 # ------------------------------------------------------------------ the validation
 
 
+class Numbers(np.ndarray[Any, Any]):
+    """Samples that are numbers, and their own wrenches."""
+
+    @property
+    def wrench(self) -> Any:
+        return np.asarray(self)
+
+
 def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
     """The calls that the judgements of 40 samples make, which are numbers here."""
     calls: list[Any] = []
@@ -258,10 +266,14 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
         calls.append(("fitted", (samples[0], samples[-1]), own.theta))
         return {"rigid": SimpleNamespace()}
 
+    def predictors(seen: Any, models: Any) -> dict[str, Any]:
+        return {f"of {seen[0]}: {seen[-1]}": lambda samples, rows: samples.wrench[rows] + 100}
+
     def wrench(
-        samples: Any, predictors: Any, test: str, fitted_on: str, tested_on: str, rows: Any
+        measured: Any, predicted: Any, test: str, fitted_on: str, tested_on: str
     ) -> list[str]:
-        calls.append((test, samples[rows].tolist(), predictors, fitted_on, tested_on))
+        found = {name: values.tolist() for name, values in predicted.items()}
+        calls.append((test, measured.tolist(), found, fitted_on, tested_on))
         return [test]
 
     def tiles(samples: Any, geometry: Any, truth: Any, estimators: Any, name: str) -> list[str]:
@@ -281,12 +293,12 @@ def judged(stage: Stage, settings: EstimatorSettings) -> list[Any]:
     stands_for = {
         "split": split, "smooth_poses": smooth, "fit_variants": fit, "judge_wrench": wrench,
         "judge_tiles": tiles, "field_estimators": fields, "judge_map": mapped, "MAX_SAMPLES": 3,
-        "_MAX_WRENCHES": 3, "wrench_predictors": lambda seen, models: f"of {seen[0]}: {seen[-1]}",
+        "_MAX_WRENCHES": 3, "wrench_predictors": predictors,
     }  # fmt: skip
     for name, stand_in in stands_for.items():
         stage.patch.setattr(validation, name, stand_in)
     found = validation.judge_samples(
-        np.arange(40),
+        np.arange(40).view(Numbers),  # type: ignore[arg-type]
         None,
         settings,
         100 + np.arange(40),
@@ -305,8 +317,8 @@ def test_judgements_are_made_with_the_settings(stage: Stage) -> None:
         ("clusters", 0.05, 35.0, "scene"),
         ("fitted", (0, 19), 0.25),
         ("averaged", (0, 39), 1.5),
-        ("in-sample", [0, 9, 19], "of 0: 19", "scene", "scene"),
-        ("second half", [20, 29, 39], "of 0: 19", "scene", "scene"),
+        ("in-sample", [0, 9, 19], {"of 0: 19": [100, 109, 119]}, "scene", "scene"),
+        ("second half", [20, 29, 39], {"of 0: 19": [120, 129, 139]}, "scene", "scene"),
         ("prior", 0.05),
         ("tiles", [20, 29, 39], [120, 129, 139], ["map", "rigid"], "scene"),
     ]

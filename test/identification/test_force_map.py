@@ -108,6 +108,20 @@ def test_a_dropped_cluster_is_as_if_never_there() -> None:
     assert (dropped.standard_deviations > complete.standard_deviations)[:, tile].all()
 
 
+def test_many_samples_have_the_map_of_each_alone() -> None:
+    samples = some_samples(200)
+    samples.status[10:60, 3] = Status.OUT_OF_RANGE
+    samples.wrench[190:] = np.nan
+    force_map = ForceMap(GEOMETRY, CLUSTERS, trial=samples)
+    assert (force_map._weights(samples).ordinary > 0.0).sum() > 1  # forces differ by hypothesis
+    together = force_map.estimate(samples)
+    apart = [force_map.estimate(samples[row : row + 1]) for row in range(len(samples))]
+    for name, values in vars(together).items():
+        if name != "source":
+            expected = np.concatenate([getattr(each, name) for each in apart])
+            np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
 def test_a_map_of_nothing_is_the_prior() -> None:
     samples, force_map = some_samples(), ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(draws=1))
     samples.status[:] = Status.MISSING

@@ -120,7 +120,8 @@ def test_clusters_weigh_the_priors_after_the_wrench(similar: bool) -> None:
     assert (odds > 2.0) == similar
 
 
-def test_an_expected_force_is_updated_by_hand() -> None:
+@pytest.mark.parametrize("times", [1, 100], ids=["few samples", "many samples"])
+def test_an_expected_force_is_updated_by_hand(times: int) -> None:
     # A force of variance 1 was measured as 2 with an error of variance 1: its mean is 1, its
     # variance 0.5. A donning adds 0.25; the channel has an error of 0.25.
     family = Family(
@@ -133,7 +134,8 @@ def test_an_expected_force_is_updated_by_hand() -> None:
         earlier=1,
     )
     conditioned = family.conditioned(np.array([0]))
-    mean, variance = conditioned.average(np.array([[2.0, 1.0], [2.0, 2.0]]), np.ones(1))
+    values = np.tile([[2.0, 1.0], [2.0, 2.0]], (times, 1))
+    mean, variance = (found[-2:] for found in conditioned.average(values, np.ones(1)))
     # 1 + 0.75 (2 - 1); at twice the load 2 is expected.
     np.testing.assert_allclose(mean[:, 0, 0], [1.75, 2.0])
     # (2 + 2 + 1) / (2 + 2 - 2) times 0.75 - 0.75^2; at twice the load (2 + 8 + 0) / 2.
