@@ -37,6 +37,9 @@ LONG = {
     *("trials/test_raw_check.py", "trials/test_reprocess.py", "socket_design/test_scan_file.py"),
     *("doors/test_fewer_parts.py", "doors/test_imports.py", "doors/test_imported_tables.py"),
     *("doors/test_options_of_live_verbs.py", "simulation/test_simulation.py", "test_notebook.py"),
+    *("live/test_estimator.py", "nodes/test_replay_alone.py", "nodes/test_trial_lines_by_hand.py"),
+    *("identification/test_survey.py", "doors/test_survey.py", "doors/test_priors.py"),
+    *("trials/test_segment.py", "test_natnet_tracker.py", "alignment/test_accuracy.py"),
 }
 
 
