@@ -16,7 +16,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test quick test-slow mutants docs setup lint benchmark colcon clean
+.PHONY: demo test quick test-slow mutants docs setup lint types style benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
@@ -40,13 +40,19 @@ test-slow: setup
 mutants: setup
 	$(BIN)/python scripts/mutants.py $(MUTANTS)
 
+# mypy beside the others: it takes as long as all of them.
 lint: setup
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync types style
+
+types:
+	$(BIN)/mypy
+
+style:
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/mypy
-	$(BIN)/python scripts/check_docstrings.py
 	$(BIN)/oxlint --deny-warnings --report-unused-disable-directives \
 		socket_testbed/pages/static test/support
+	$(BIN)/python scripts/check_docstrings.py
 
 # The reference of the Python API and of all types that it takes or returns, from the docstrings.
 DOCUMENTED := api arrays calibration errors geometry identification pages.server report.results results \

@@ -1,5 +1,8 @@
+import gc
 import os
+import pickle
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 # numpy reads it when it is first imported; child processes inherit it.
@@ -16,7 +19,9 @@ os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from socket_testbed.__main__ import run
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import LAWS
+from socket_testbed.identification.force_map import Hypothesis, Prior
 from socket_testbed.live.processes import graph_environment
 from socket_testbed.settings import identification
 from socket_testbed.settings.fields import renew_choices
@@ -39,6 +44,9 @@ LONG = {
     *("trials/test_raw_check.py", "trials/test_reprocess.py", "socket_design/test_scan_file.py"),
     *("doors/test_fewer_parts.py", "doors/test_imports.py", "doors/test_imported_tables.py"),
     *("doors/test_options_of_live_verbs.py", "simulation/test_simulation.py", "test_notebook.py"),
+    *("live/test_estimator.py", "nodes/test_replay_alone.py", "nodes/test_trial_lines_by_hand.py"),
+    *("identification/test_survey.py", "doors/test_survey.py", "doors/test_priors.py"),
+    *("trials/test_segment.py", "test_natnet_tracker.py", "alignment/test_accuracy.py"),
 }
 
 
@@ -78,6 +86,23 @@ def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
 
 
+@lru_cache(maxsize=512)
+def _made(geometry: bytes, clusters: tuple[str, ...], sizes: Hypothesis) -> Prior:
+    return Prior(pickle.loads(geometry), clusters, sizes)
+
+
+@pytest.fixture(scope="module")
+def priors_made_once() -> Iterator[None]:
+    """The 64 priors of a force map are made once a socket, not once an opened trial (0.1 s)."""
+
+    def prior(geometry: SocketGeometry, clusters: tuple[str, ...], sizes: Hypothesis) -> Prior:
+        return _made(pickle.dumps(geometry), clusters, sizes)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("socket_testbed.identification.force_map.Prior", prior)
+        yield
+
+
 @pytest.fixture
 def own_laws() -> Iterator[None]:
     """Contact laws that a test registers are forgotten after it."""
@@ -96,6 +121,29 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("no shared data beside the checkout")
     return SHARED_DATA
+
+
+class _Shifted(pytest.Dir):
+    """A folder of tests, which each worker collects from another place on.
+
+    In a fresh checkout each compiles a part of the modules, and reads what the others compiled.
+    """
+
+    def collect(self) -> list[pytest.Item | pytest.Collector]:
+        found = [*super().collect()]
+        worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+        begin = len(found) * worker // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+        return found[begin:] + found[:begin]
+
+
+def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector:
+    return _Shifted.from_parent(parent, path=path)
+
+
+def pytest_collection_finish() -> None:
+    """Keep the thousands of collected cases out of every later search for garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

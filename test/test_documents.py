@@ -325,6 +325,7 @@ VALUES = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", good_documents())
 @given(data=draw.data())
 @settings(max_examples=120, deadline=None, derandomize=True, database=None)

@@ -65,7 +65,7 @@ def test_a_bug_states_trial_and_testbed() -> None:
 
 
 def test_the_hooks_are_the_linters_of_make() -> None:
-    lint = MAKEFILE.partition("lint: setup\n")[2].partition("\n\n")[0]
+    lint = MAKEFILE.partition("lint: setup\n")[2].partition("\n\n#")[0]
     linters = {line.split()[0] for line in lint.splitlines() if line.startswith("\t$(BIN)")}
     called = {hook["entry"].split()[0].replace(".venv/bin", "$(BIN)") for hook in hooks()}
     assert called == linters

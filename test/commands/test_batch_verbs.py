@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from distributed import LocalCluster
 from support import HANGS
 from support.verbs import COMMAND, call, program
 
@@ -186,6 +185,8 @@ def test_a_kill_leaves_no_worker(many: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_dask_cluster_of_two_workers_takes_over(study, one_by_one, tmp_path, capsys) -> None:
+    from distributed import LocalCluster
+
     folder = tmp_path / "models"
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         words = [*FIT, study, "-o", folder, "--dask", cluster.scheduler_address]

@@ -20,6 +20,8 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.identification.pressure import interval_end
 
+pytestmark = pytest.mark.usefixtures("priors_made_once")
+
 
 @pytest.fixture(scope="module")
 def found(hold: Path) -> Any:

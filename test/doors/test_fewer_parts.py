@@ -10,6 +10,8 @@ import socket_testbed as st
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 
+pytestmark = pytest.mark.usefixtures("priors_made_once")
+
 POSES = {"socket_pose": "none", "pylon_pose": "none"}
 KINDS = {
     "no clusters": {"clusters": "none"},
@@ -25,7 +27,7 @@ KINDS = {
 def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Trials of a foreign bag with some of its sources, and a model of all."""
     path = tmp_path_factory.mktemp("parts")
-    simulate_foreign(path / "bag", "protocol", 60.0, 1, rate=5.0)
+    simulate_foreign(path / "bag", "protocol", 30.0, 1, rate=5.0)
     names = [*read_socket(packaged("config", "socket.yaml")).clusters]
     for name, without in {"all": {}, **KINDS}.items():
         trial = st.import_trial(

@@ -491,8 +491,14 @@ def test_a_transfer_that_times_out_costs_nothing(rate: float) -> None:
     assert lost == 0
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("name", ERRNOS)
+# Each errno behind one multiplexer; the other layouts with an adapter that hangs, and that is gone.
+ABSENCES = [
+    *((name, "multiplexer") for name in ERRNOS),
+    *((name, layout) for layout in ("bridges", "two") for name in ("ETIMEDOUT", "ENODEV")),
+]
+
+
+@pytest.mark.parametrize(("name", "layout"), ABSENCES)
 @pytest.mark.parametrize("rate", [1 / 0.3, 4.0, 50.0], ids=["idle", "4-Hz", "50-Hz"])
 def test_an_adapter_is_heard_within_a_second(name: str, rate: float, layout: str) -> None:
     """The kernel gives it back only when it is closed, whatever the errno."""

@@ -39,7 +39,7 @@ ALIGN = AlignSettings(
     clusters=LiveClusterSettings(topic=CAPACITANCES),
 )
 RATE = 20.0  # [Hz]; of the trigger
-ENOUGH = 160  # triggers with all sources
+ENOUGH = 100  # triggers with all sources
 
 
 @dataclass

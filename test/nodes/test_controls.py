@@ -185,6 +185,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
         yield live
 
 
+@pytest.mark.graph
 def test_doctor_hears_what_the_nodes_report(live: LiveTestbed) -> None:
     """On a busy machine these are faults, which another subscriber hears as well."""
     live.probe.said("cluster_node")
@@ -196,6 +197,7 @@ def test_doctor_hears_what_the_nodes_report(live: LiveTestbed) -> None:
         assert states[node] in said
 
 
+@pytest.mark.graph
 def test_a_node_that_is_not_there_reports_nothing(live: LiveTestbed) -> None:
     assert module.reported_states(("mocap_node",), "/elsewhere", within=0.1) == {}
 
