@@ -96,7 +96,7 @@ def _correlations(course: FloatArray, reference: FloatArray, limit: int) -> dict
 
     Args:
         course: The series, shape (N,) or (N, k), in its unit; NaN where it is missing.
-        reference: The other one, likewise.
+        reference: The other one, of the same shape, in its unit; NaN where it is missing.
         limit: The longest delay, as early and as late.
     """
     width = math.prod(course.shape[1:])
