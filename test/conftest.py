@@ -88,12 +88,19 @@ def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @lru_cache(maxsize=512)
 def _made(geometry: bytes, clusters: tuple[str, ...], sizes: Hypothesis) -> Prior:
-    return Prior(pickle.loads(geometry), clusters, sizes)
+    made = Prior(pickle.loads(geometry), clusters, sizes)
+    for value in vars(made).values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False  # other tests have it, too
+    return made
 
 
 @pytest.fixture(scope="module")
 def priors_made_once() -> Iterator[None]:
-    """The 64 priors of a force map are made once a socket, not once an opened trial (0.1 s)."""
+    """The 64 priors of a force map are made once a socket, not once an opened trial (0.1 s).
+
+    Not for tests that pickle a map: it finds no class of its priors.
+    """
 
     def prior(geometry: SocketGeometry, clusters: tuple[str, ...], sizes: Hypothesis) -> Prior:
         return _made(pickle.dumps(geometry), clusters, sizes)
