@@ -1,8 +1,6 @@
 import gc
 import os
-import pickle
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 
 # numpy reads it when it is first imported; child processes inherit it.
@@ -19,9 +17,7 @@ os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from socket_testbed.__main__ import run
-from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import LAWS
-from socket_testbed.identification.force_map import Hypothesis, Prior
 from socket_testbed.live.processes import graph_environment
 from socket_testbed.settings import identification
 from socket_testbed.settings.fields import renew_choices
@@ -84,30 +80,6 @@ def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
     """Validates only variants that are fitted at once: the others repeat what these show."""
     place = "socket_testbed.identification.validation.VARIANTS"
     monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
-
-
-@lru_cache(maxsize=512)
-def _made(geometry: bytes, clusters: tuple[str, ...], sizes: Hypothesis) -> Prior:
-    made = Prior(pickle.loads(geometry), clusters, sizes)
-    for value in vars(made).values():
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False  # other tests have it, too
-    return made
-
-
-@pytest.fixture(scope="module")
-def priors_made_once() -> Iterator[None]:
-    """The 64 priors of a force map are made once a socket, not once an opened trial (0.1 s).
-
-    Not for tests that pickle a map: it finds no class of its priors.
-    """
-
-    def prior(geometry: SocketGeometry, clusters: tuple[str, ...], sizes: Hypothesis) -> Prior:
-        return _made(pickle.dumps(geometry), clusters, sizes)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("socket_testbed.identification.force_map.Prior", prior)
-        yield
 
 
 @pytest.fixture

@@ -25,8 +25,6 @@ from socket_testbed.files import packaged
 from socket_testbed.socket_design import tiling
 from socket_testbed.socket_design.tiling import TilingSettings
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 FUNCTIONS = [name for name in st.__all__ if name.islower()]
 
 

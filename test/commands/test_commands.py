@@ -22,8 +22,6 @@ from socket_testbed.trials.reprocess import NO_TARE
 from socket_testbed.trials.segment import NAMED
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_explains_its_options(verb: str, capsys) -> None:

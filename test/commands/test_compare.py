@@ -13,8 +13,6 @@ from support.verbs import call, refused
 
 import socket_testbed as st
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 SEGMENT = ("--segment", "15:17")
 
 

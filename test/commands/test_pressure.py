@@ -20,8 +20,6 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.identification.pressure import interval_end
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 
 @pytest.fixture(scope="module")
 def found(hold: Path) -> Any:

@@ -14,8 +14,6 @@ from support.verbs import call, refused
 import socket_testbed as st
 from socket_testbed.files import packaged
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 PLACES = (
     ("brim_lateral", "mid_anterior", "posterior_distal", "distal"),
     ("h237_a238", "h262_a358", "h145_a145", "h065_a356"),

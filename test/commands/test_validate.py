@@ -14,8 +14,6 @@ import socket_testbed as st
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

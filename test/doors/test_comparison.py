@@ -27,8 +27,6 @@ from socket_testbed.geometry.socket import write_socket
 from socket_testbed.results.comparison import Comparison
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 VALUE = ("value", "low", "high")
 DIFFERENCE = ("difference", "difference low", "difference high")
 

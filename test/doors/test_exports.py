@@ -20,8 +20,6 @@ from support import scene
 
 import socket_testbed as st
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 KNEE = (0.02, -0.01, 0.4)  # [m]
 # By the title of its column.
 ROW = {

@@ -10,8 +10,6 @@ import socket_testbed as st
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 POSES = {"socket_pose": "none", "pylon_pose": "none"}
 KINDS = {
     "no clusters": {"clusters": "none"},

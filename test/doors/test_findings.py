@@ -15,8 +15,6 @@ from socket_testbed.identification.data_check import check_data
 from socket_testbed.pages.document import check_card
 from socket_testbed.samples import Samples, Status
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 BRIM, MID, POSTERIOR, DISTAL = range(4)  # columns of the clusters
 X, Y, Z = range(3)
 FX, FZ = 3, 5  # columns of the wrench

@@ -19,8 +19,6 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 ROWS = 241  # two seconds at 120 Hz, as the take
 NAMES = ("brim_lateral", "distal")
 START_2000 = 946_684_800_000_000_000  # [ns]

@@ -20,8 +20,6 @@ from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 START = 1_700_000_000_000_000_000  # [ns]
 STEP = 10_000_000  # [ns]
 ROWS = 101  # one second at 100 Hz

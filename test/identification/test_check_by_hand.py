@@ -15,8 +15,6 @@ from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.samples import Samples, Status
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 NAN = float("nan")
 GEOMETRY = scene.geometry()
 COUNT = 96

@@ -18,8 +18,6 @@ from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 ALL = slice(None)
 
 

@@ -19,8 +19,6 @@ from socket_testbed.samples import Samples
 from socket_testbed.simulation.trial import SimulatedTrial, simulate, write_simulated_trial
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 ALL = slice(None)
 

@@ -20,8 +20,6 @@ from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 from socket_testbed.wire.cdr import stamp_of
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 MEAN = "mean pressure [kPa]"
 
 

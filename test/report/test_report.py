@@ -30,8 +30,6 @@ from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.description import describe_samples, drop_outs
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 PLAIN, BIAS = PAPER_VARIANTS
 
 

@@ -24,8 +24,6 @@ from socket_testbed.tables import matlab_names, write_table
 from socket_testbed.trials.trial import Trial
 from socket_testbed.wire.cdr import stamp_of
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
 
 

@@ -23,8 +23,6 @@ from socket_testbed.wire import topics
 from socket_testbed.wire.cdr import decode, encode, make_message, stamp_of
 from socket_testbed.wire.messages import load_cell_raw_packer
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 COUNT = 120  # 30 s at 4 Hz
 FROZEN = slice(20, 60)  # 40 readings in 9.75 s

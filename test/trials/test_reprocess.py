@@ -28,8 +28,6 @@ from socket_testbed.wire.cdr import decode, stamp_of
 from socket_testbed.wire.messages import load_cell_raw_packer, pose_packer, wrench_packer
 from socket_testbed.wire.topics import LOAD_CELL_RAW, MARKERS
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
 
 

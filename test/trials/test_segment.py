@@ -17,8 +17,6 @@ from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials import events, segment
 from socket_testbed.trials.trial import Trial
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 RATE = 4.0
 SETTINGS = PlateauSettings()
 

@@ -29,8 +29,6 @@ from socket_testbed.trials.truth import read_true_forces, read_truth
 from socket_testbed.wire import messages, topics
 from socket_testbed.wire.cdr import Layout, decode, stamp_of
 
-pytestmark = pytest.mark.usefixtures("priors_made_once")
-
 
 @pytest.fixture(scope="module", autouse=True)
 def small_blocks() -> Iterator[None]:
