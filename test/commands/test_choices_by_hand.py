@@ -1,7 +1,6 @@
 """What verbs decide besides their numbers: which note, trial, option and order, by hand."""
 
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -209,17 +208,11 @@ def test_two_presses_undo_each_other(
 
 def test_topics_are_sorted_with_their_rates() -> None:
     """Nine messages in 2 s are eight periods, 4 Hz; a single one has no rate."""
-    bag = SimpleNamespace(
+    bag: Any = SimpleNamespace(
         duration=2.0, counts={"/b": 9, "/a": 1, "/c": 0},
         types={"/a": "pkg/msg/A", "/b": "pkg/msg/B", "/c": "pkg/msg/C"},
     )  # fmt: skip
-
-    @contextmanager
-    def opened() -> Any:
-        yield bag
-
-    trial: Any = SimpleNamespace(path=Path("s01"), open=opened)
-    lines = [" ".join(line.split()) for line in trials._topics(trial).splitlines()]
+    lines = [" ".join(line.split()) for line in trials._topics(Path("s01"), bag).splitlines()]
     assert lines[:2] == ["s01: 10 messages in 2.00 s", "topic type messages Hz"]
     assert lines[3:] == [
         "/a pkg/msg/A 1 0.00",
@@ -227,7 +220,7 @@ def test_topics_are_sorted_with_their_rates() -> None:
         "/c pkg/msg/C 0 0.00",
     ]
     bag.duration = 0.0
-    assert trials._topics(trial).splitlines()[-1].split()[-1] == "0.00"
+    assert trials._topics(Path("s01"), bag).splitlines()[-1].split()[-1] == "0.00"
 
 
 def test_an_export_says_what_it_wrote(

@@ -26,11 +26,11 @@ from socket_testbed.trials.trial import Trial
 def lacking(scene_folder: Path) -> Trial:
     """The scene with some poses and a wrench missing."""
     trial = Trial(scene_folder)
-    samples = trial.samples()
+    measured, samples = trial.measurements_and_samples()
     position, wrench = samples.position.copy(), samples.wrench.copy()
     position[10:16] = np.nan
     wrench[20, 5] = np.nan
-    trial._kept.samples = replace(samples, position=position, wrench=wrench)
+    trial._kept.read = measured, replace(samples, position=position, wrench=wrench)
     return trial
 
 
