@@ -160,11 +160,11 @@ def compute_results(
     segment = first_frames(whole, checked.samples, identification.frames)
     chosen = checked.part(segment.rows)
     progress(1, _STAGES)
-    candidates = _judged_models(trial, segment, chosen, identification, given)
+    notes: list[str] = []
+    candidates = _judged_models(trial, segment, chosen, identification, given, notes.append)
     progress(2, _STAGES)
     fronts, no_fronts = _traced_fronts(chosen, trial.geometry, identification, thetas)
     progress(3, _STAGES)
-    notes = _notes_on(given, identification)
     validation, no_validation = _validated(trial, checked, settings, prior, notes.append)
     progress(4, _STAGES)
     pressure, over_trial = _mapped_pressure(trial, whole, settings, prior)
@@ -199,10 +199,12 @@ def _judged_models(
     chosen: Samples,
     identification: IdentificationSettings,
     given: FittedModel | None,
+    notify: Callable[[str], None],
 ) -> dict[str, Evaluation]:
     """The paper's variants and that of the settings, fitted on the segment, then the given model.
 
-    Each is judged on the segment, whose samples are `chosen`.
+    Each is judged on the segment, whose samples are `chosen`. A given model that leaves out other
+    channels is notified.
     """
     variants = [v for v in VARIANTS if v in PAPER_VARIANTS or v == identification.variant]
     models: dict[str, FittedModel] = {
@@ -211,14 +213,9 @@ def _judged_models(
     }
     if given is not None:
         models[GIVEN] = given
+        if {*given.settings.leave_out} != {*identification.leave_out}:
+            notify(f"the {GIVEN} model leaves out what its fit did, outliers as well")
     return {label: judge(trial, model, segment) for label, model in models.items()}
-
-
-def _notes_on(given: FittedModel | None, identification: IdentificationSettings) -> list[str]:
-    """A note on a given model that does not leave out the channels of the settings."""
-    if given is None or {*given.settings.leave_out} == {*identification.leave_out}:
-        return []
-    return [f"the {GIVEN} model leaves out what its fit did, outliers as well"]
 
 
 def _traced_fronts(
