@@ -731,7 +731,7 @@ class ContactModel:
         trail = trail or self.trail()
         for start in range(0, len(pose), _CHUNK):
             rows = slice(start, start + _CHUNK)
-            local = self.cluster_forces(pose[rows])
+            local = self.cluster_forces(pose[rows]) if clusters else {}
             forces = [local[name] for name in clusters]
             times = None if stamps is None else stamps[rows]
             predicted[rows] = np.hstack([self.wrench(pose[rows], times, trail), *forces])

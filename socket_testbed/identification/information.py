@@ -73,10 +73,11 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
         samples: Samples with a wrench, their poses averaged as in the fit.
         model: The model; a separate model of the wrench, if it has one, is ignored.
     """
-    bed = replace(model, of_wrench=None)
-    alone = replace(bed, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
+    alone = replace(model, of_wrench=None, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
     springs = alone.predict(samples.pose, ())
-    offsets = bed.predict(samples.pose, ()) - springs
+    offsets = np.tile(model.wrench_bias, (len(samples), 1))
+    if model.wrench_slope.any():
+        offsets += model.law.motion(samples.pose) @ model.wrench_slope.T
     found = []
     for name, part in (("Fz", slice(5, 6)), ("force", FORCES), ("moment", MOMENTS)):
         measured = samples.wrench[:, part]
