@@ -35,7 +35,7 @@ def find_spikes(samples: Samples, noise: ChannelNoise) -> Iterator[DataFinding]:
             attitude.
         noise: Noise of the samples.
     """
-    for name, sizes, ratios in _changes(samples, noise, _departures):
+    for name, sizes, ratios in _changes(samples, noise, _departures, MIN_SPIKE):
         least = _least_change(samples, name, SPIKE_SHARE, POSE_SPIKES, 0.0)
         single = (ratios > MIN_SPIKE) & (sizes > least)
         clear = (ratios > CLEAR_SPIKE * MIN_SPIKE) & (sizes > CLEAR_SPIKE * least)
@@ -64,7 +64,7 @@ def find_steps(samples: Samples, noise: ChannelNoise) -> Iterator[DataFinding]:
         noise: Noise of the samples.
     """
     jumps = any(find_jumps(samples))
-    for name, sizes, ratios in _changes(samples, noise, _kinks):
+    for name, sizes, ratios in _changes(samples, noise, _kinks, MIN_STEP_RATIO):
         least = _least_change(samples, name, STEP_SHARE, POSE_STEPS, MIN_STEP)
         steps = np.where(sizes > least, ratios, 0.0)
         row, column = np.unravel_index(steps.argmax(), steps.shape)
@@ -100,6 +100,7 @@ def _changes(
     samples: Samples,
     noise: ChannelNoise,
     found_by: Callable[[FloatArray, BoolArray, FloatArray], tuple[FloatArray, FloatArray]],
+    limit: float,
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Sudden changes of single sources: what a limb does is felt by several of them.
 
@@ -107,10 +108,12 @@ def _changes(
         samples: N samples without outliers and left-out channels.
         noise: Noise of the samples.
         found_by: Returns sizes and ratios of changes, such as `_departures`.
+        limit: Ratio above which a change counts [-].
 
     Yields:
-        A source, the sizes of the changes in the units of its k channels, and the sizes over the
-        usual ones [-], shape (N, k) each; the latter are 0 where another source changes as well.
+        A source with a ratio above the limit, the sizes of the changes in the units of its k
+        channels, and the sizes over the usual ones [-], shape (N, k) each; the latter are 0 where
+        another source changes as well.
     """
     sources = {
         "the wrench": (samples.wrench, noise.wrench),
@@ -121,9 +124,11 @@ def _changes(
         sources[name] = forces[:, column], noise.local_forces[column]
     regular = ~gaps(samples.stamps)
     found = {name: found_by(own, regular, of_own) for name, (own, of_own) in sources.items()}
-    sharp = {name: ratios.max(axis=1) for name, (_, ratios) in found.items()}
     for name, (sizes, ratios) in found.items():
-        others = np.max([own for other, own in sharp.items() if other != name], axis=0)
+        if ratios.max() <= limit:
+            continue
+        sharp = [own.max(axis=1) for other, (_, own) in found.items() if other != name]
+        others = np.max(sharp, axis=0)
         yield name, sizes, np.where((others < FELT_SPIKE)[:, None], ratios, 0.0)
 
 

@@ -150,8 +150,8 @@ class PoseTrail:
         """Whether a step [ns] is a break, judged by the steps before it and itself."""
         if step > 0:
             self._steps.append(step)
-        if not self._steps:
-            return False
+        if not self._steps or abs(step) <= BREAK * min(self._steps):
+            return False  # quick, as for nearly all steps
         ordered = sorted(self._steps)  # numpy's median takes 30 times as long for so few
         usual = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         return abs(step) > BREAK * usual

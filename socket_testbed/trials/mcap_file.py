@@ -544,12 +544,12 @@ def _edges(content: bytes) -> NDArray[np.int32]:
     Raises:
         ValueError: If a record is torn.
     """
+    length_at, header, size = _LENGTH.unpack_from, _RECORD.size, len(content)  # for every record
     edge, edges = 0, [0]
-    while edge < len(content):
-        (length,) = _LENGTH.unpack_from(content, edge + 1)
-        edge += _RECORD.size + length
+    while edge < size:
+        edge += header + length_at(content, edge + 1)[0]
         edges.append(edge)
-    if edge > len(content):
+    if edge > size:
         raise ValueError("a record is torn")
     return np.array(edges, np.int32)
 

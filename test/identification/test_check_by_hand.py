@@ -9,8 +9,15 @@ from support import scene
 from support.problems import make_samples
 
 from socket_testbed.identification import channel_check, courses, sudden_changes
+from socket_testbed.identification import correlation as correlations
 from socket_testbed.identification.checked import CheckedSamples
-from socket_testbed.identification.correlation import clear_lag, correlation, explained_share
+from socket_testbed.identification.correlation import (
+    best_lag,
+    clear_lag,
+    correlation,
+    drift_of,
+    explained_share,
+)
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.samples import Samples, Status
@@ -107,6 +114,46 @@ def test_a_lag_is_of_the_course(case: str) -> None:
     shift, period, lag = LAGS[case]
     course = np.roll(WAVE, shift)[50:-50]
     assert clear_lag(WAVE[50:-50], course, period) == pytest.approx(lag)
+
+
+def _with_gaps(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    values = rng.normal(size=shape).cumsum(axis=0)
+    values[rng.random(shape) < 0.1] = NAN
+    return values
+
+
+@pytest.mark.parametrize("shape", [(90,), (90, 2)], ids=["series", "vectors"])
+def test_the_best_lag_is_that_of_numpy(shape: tuple[int, ...], rng: np.random.Generator) -> None:
+    """With values missing, against `correlation` of the shifted series, at 4 Hz."""
+    reference, course = 7.0 + _with_gaps(rng, shape), _with_gaps(rng, shape)
+    found = {
+        lag: correlation(
+            course[max(lag, 0) : 90 + min(lag, 0)].ravel(),
+            reference[max(-lag, 0) : 90 - max(lag, 0)].ravel(),
+        )
+        for lag in range(-30, 31)
+    }
+    best = max(found, key=lambda lag: found[lag])
+    expected = (0.25 * best, found[best], found[0])
+    assert best_lag(reference, course, 0.25) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_course_that_stands_still_has_no_lag() -> None:
+    """From 20 samples on only what stands still is compared, whose spread is rounding."""
+    course = np.full(90, 0.1)
+    course[:20] += WAVE[:20]
+    found = correlations._correlations(course, WAVE[:90], 30)
+    assert all((found[lag] == 0.0) is (lag >= 20) for lag in found)
+
+
+def test_drifts_are_of_each_course(rng: np.random.Generator) -> None:
+    """2 and -3 over the trial, beside a cause, where courses lack different values or none."""
+    time, cause = np.arange(80.0), rng.normal(size=(80, 1))
+    courses = np.outer(time / time[-1], [2.0, -3.0]) + 5.0 * cause
+    assert drift_of(courses, cause, time) == pytest.approx([2.0, -3.0])
+    courses[:60, 0] = NAN  # 20 values are too few
+    courses[3, 1] = NAN
+    assert drift_of(courses, cause, time) == pytest.approx([0.0, -3.0])
 
 
 def test_an_unclear_lag_is_none(rng) -> None:

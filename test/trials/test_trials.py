@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ import socket_testbed as st
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials import bag
+from socket_testbed.trials import trial as trials
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
 from socket_testbed.trials.synchronise import Measurements, read_measurements
 from socket_testbed.trials.trial import Trial, recorded_namespace
@@ -50,6 +51,26 @@ CLUSTERS = ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
 
 def test_most_samples_have_pose_and_wrench(samples: Samples) -> None:
     assert samples.has_pose_and_wrench.mean() > 0.95
+
+
+def test_a_trial_is_read_once(hold: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its check, its samples and its export need one reading; kept open, it is opened once."""
+    opened: list[Path] = []
+
+    class Counted(BagReader):
+        def __enter__(self) -> Self:
+            opened.append(self.path)
+            return super().__enter__()
+
+    monkeypatch.setattr(trials, "BagReader", Counted)
+    trial = Trial(hold)
+    assert trial.problems() == ()
+    st.export(trial, tmp_path / "hold.csv")
+    assert opened == [hold]
+    with trial.kept_open() as bag, trial.open() as again:
+        assert again is bag and len(opened) == 2
+    with trial.open() as other:
+        assert other is not bag and len(opened) == 3
 
 
 def test_wrenches_agree_with_the_truth(hold: Path, samples: Samples) -> None:
