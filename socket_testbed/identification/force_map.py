@@ -231,9 +231,12 @@ class _Conditioned:
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        They follow from the values of present channels and loads, shape (N, d + s) [N m, N], and
-        the probabilities of the hypotheses, shape (M,) [-]. Under each hypothesis the squared
-        amplitude has the posterior mean (f + y' S^-1 y) / (f + d - 2), d with the earlier channels.
+        Under each hypothesis the squared amplitude has the posterior mean
+        (f + y' S^-1 y) / (f + d - 2), d with the earlier channels.
+
+        Args:
+            measured: Values of the present channels and loads, shape (N, d + s) [N m, N].
+            weights: Probabilities of the hypotheses, shape (M,) [-].
         """
         if len(measured) >= _MANY:
             return self._average_many(measured, weights)
@@ -302,6 +305,17 @@ class _Conditioned:
         return np.asarray(found)
 
 
+def _mirrored(means: FloatArray, errors: FloatArray, axis: int) -> FloatArray:
+    """Means with errors added, followed along an axis by those with errors subtracted."""
+    shape = [*means.shape]
+    shape[axis] *= 2
+    drawn = np.empty(shape)
+    above, below = np.split(drawn, 2, axis)
+    np.add(means, errors, out=above)
+    np.subtract(means, errors, out=below)
+    return drawn
+
+
 @dataclass(frozen=True)
 class JointDraws:
     """D joint draws of the forces on all n tiles at k samples, in factored form.
@@ -341,11 +355,7 @@ class JointDraws:
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
         means = means.reshape(-1, hypotheses, forces)[:, self.hypotheses]
-        half = len(self.hypotheses)
-        drawn = np.empty((len(means), 2 * half, forces))
-        np.add(means, errors, out=drawn[:, :half])
-        np.subtract(means, errors, out=drawn[:, half:])
-        return drawn
+        return _mirrored(means, errors, axis=1)
 
     def ordered(self, batch: int) -> Iterator[tuple[slice, FloatArray]]:
         """The draws of every force in ascending order, shape (k, 3n, D) [N], in batches of samples.
@@ -364,10 +374,7 @@ class JointDraws:
         for start in range(0, count, batch):
             some = slice(start, min(start + batch, count))
             means = (self.channels[some] @ onto).reshape(-1, forces, half)
-            missed = sizes[some] * errors
-            draws = np.empty((*means.shape[:2], 2 * half))
-            np.add(means, missed, out=draws[..., :half])
-            np.subtract(means, missed, out=draws[..., half:])
+            draws = _mirrored(means, sizes[some] * errors, axis=2)
             draws.sort(axis=-1)
             yield some, draws
 

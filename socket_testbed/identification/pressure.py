@@ -371,7 +371,12 @@ class _Regions:
         return found
 
     def outputs(self, estimate: _Fields, draws: _Fields) -> RegionOutputs:
-        """The outputs with intervals, from an estimate (..., 1, n) and draws (..., D, n)."""
+        """The outputs with intervals.
+
+        Args:
+            estimate: Fields of the estimate, with the leading axes (..., 1).
+            draws: Fields of the D draws, with the leading axes (..., D).
+        """
         axis = estimate.peak.ndim - 2
         values = {name: np.take(found, 0, axis) for name, found in self.read(estimate).items()}
         drawn = self.read(draws)
@@ -380,9 +385,12 @@ class _Regions:
         return RegionOutputs(**found)
 
     def interval(self, name: str, value: FloatArray, drawn: FloatArray) -> Quantity:
-        """A named quantity from the estimate, (..., R), and the draws, (..., D, R).
+        """A quantity with its interval, in SI units.
 
-        Those of the `centre` have a last axis of 3.
+        Args:
+            name: Its name, a field of `RegionOutputs`.
+            value: The estimate, shape (..., R), of the `centre` (..., R, 3).
+            drawn: The draws, shape (..., D, R), of the `centre` (..., D, R, 3).
         """
         axis = value.ndim - (2 if name == "centre" else 1)
         difference = drawn - np.expand_dims(value, axis)
@@ -411,7 +419,12 @@ class _Span:
         self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
 
     def add(self, instants: _Fields, weights: FloatArray) -> None:
-        """Add fields (k, D, n) of k samples, with their weights in time integrals (k,) [s]."""
+        """Add the fields of k samples.
+
+        Args:
+            instants: Their fields, with the leading axes (k, D).
+            weights: Their weights in time integrals, shape (k,) [s].
+        """
         self._samples += len(weights)
         self._time += float(weights.sum())
         self._force += instants.force.sum(axis=0)

@@ -240,8 +240,8 @@ def _validated(
 ) -> tuple[tuple[Judgement, ...], str]:
     """Judgements on held-out data of the trial, or none and the reason."""
     truth = read_true_forces(trial.path, checked.samples.stamps, trial.geometry.names)
-    prior_map = checked.prior_map(settings.force_map, prior)
     try:
+        prior_map = checked.prior_map(settings.force_map, prior)
         found = judge_samples(
             checked.counted, trial.geometry, settings, truth, trial.name, notify, prior_map
         )
