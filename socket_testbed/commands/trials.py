@@ -28,7 +28,7 @@ from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
 from socket_testbed.trials.export import EXPORT_FORMATS
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
-from socket_testbed.trials.tares import read_tares, tares_in_words
+from socket_testbed.trials.tares import tares_in_words
 from socket_testbed.trials.trial import Trial
 from socket_testbed.trials.truth import TRUTH_FILE, read_truth
 
@@ -110,8 +110,7 @@ def info(call: calls.Info) -> None:
         print(f"socket: {geometry.source or 'not stated'}; {len(geometry)} tiles")
         print(f"registration: {geometry.bodies}")
         print(f"calibration: {opened.calibration.origin}")
-        tares = read_tares(bag)
-        print("\n".join(tares_in_words(tares, int(samples.stamps[0]))))
+        print("\n".join(tares_in_words(opened.tares, int(samples.stamps[0]))))
 
 
 def _topics(path: Path, bag: BagReader) -> str:

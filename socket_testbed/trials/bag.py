@@ -19,6 +19,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeAlias
 
+import numpy as np
 from backports import zstd
 from mcap.writer import CompressionType, Writer
 
@@ -33,6 +34,7 @@ from socket_testbed.trials.bag_parts import (
     MAX_APART,
     ZSTD_MAGIC,
     BagMetadata,
+    Batch,
     ListedFile,
     archive_content,
     find_archives,
@@ -214,10 +216,14 @@ class BagReader:
             definitions = {
                 kind: text for kind, text in reader.definitions.items() if kind not in known
             }
-            for connection, time, content in _contents(file, reader, topics):
-                kind = connection.msgtype
-                definition = definitions.get(kind, "")
-                yield RawMessage(connection.topic, kind, time, content, definition)
+            by_number = {connection.id: connection for connection in reader.connections}
+            for batch in _batches(file, reader, topics):
+                columns = batch.connections.tolist(), batch.times.tolist(), batch.contents
+                for number, time, content in zip(*columns, strict=True):
+                    connection = by_number[number]
+                    kind = connection.msgtype
+                    definition = definitions.get(kind, "")
+                    yield RawMessage(connection.topic, kind, time, content, definition)
 
     def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
         """The messages of some topics, given by full name, in blocks that bound the memory.
@@ -226,14 +232,24 @@ class BagReader:
             A topic's full name, and the contents (CDR) of up to 4096 of its messages, in recording
             order within the topic.
         """
-        blocks: dict[str, list[bytes]] = defaultdict(list)
+        names = [*topics]
+        blocks: dict[str, list[bytes]] = {name: [] for name in names}
         for file, reader in self._readers:
-            for connection, _, content in _contents(file, reader, topics):
-                block = blocks[connection.topic]
-                block.append(content)
-                if len(block) == _BLOCK_SIZE:
-                    yield connection.topic, blocks.pop(connection.topic)
-        yield from blocks.items()
+            numbers = [connection.id for connection in reader.connections]
+            topic_by_number = np.full(max(numbers, default=0) + 1, -1)
+            for connection in reader.connections:
+                if connection.topic in blocks:
+                    topic_by_number[connection.id] = names.index(connection.topic)
+            for batch in _batches(file, reader, topics):
+                topic_of = topic_by_number[batch.connections]
+                for place, topic in enumerate(names):
+                    rows = np.flatnonzero(topic_of == place).tolist()
+                    block = blocks[topic]
+                    block += [batch.contents[row] for row in rows]
+                    while len(block) >= _BLOCK_SIZE:
+                        yield topic, block[:_BLOCK_SIZE]
+                        del block[:_BLOCK_SIZE]
+        yield from ((topic, block) for topic, block in blocks.items() if block)
 
     def _read_metadata(self) -> BagMetadata | None:
         """What metadata.yaml promises; None, with a note, if it is missing or unreadable."""
@@ -452,13 +468,11 @@ class BagReader:
             )
 
 
-def _contents(
-    file: Path, reader: Storage, topics: Collection[str] | None
-) -> Iterator[tuple[Any, int, bytes]]:
+def _batches(file: Path, reader: Storage, topics: Collection[str] | None) -> Iterator[Batch]:
     """The messages of some topics of a storage file, given by full name, or of all (None).
 
     Yields:
-        The topic, the recording time since the epoch [ns], and the content (CDR), uncompressed.
+        Messages in recording order, uncompressed.
 
     Raises:
         TrialError: As `BagReader.messages`.
@@ -468,17 +482,21 @@ def _contents(
         return
     left = sum(connection.msgcount for connection in connections)
     try:
-        for connection, time, data in reader.messages(connections):
-            left -= 1
-            content = bytes(data)
-            if content.startswith(ZSTD_MAGIC):
-                content = zstd.decompress(content)
-            yield connection, time, content
+        for batch in reader.batches(connections):
+            left -= len(batch.contents)
+            if ZSTD_MAGIC in {content[: len(ZSTD_MAGIC)] for content in batch.contents}:
+                yield batch._replace(contents=[*map(_uncompressed, batch.contents)])
+            else:
+                yield batch
     except Exception as error:  # the library may raise any exception
         raise _damaged(file, error) from None
     if left:
         fact = f"{file}: is damaged: its index lists {left} more messages than can be read"
         raise TrialError(fact, COPY_AGAIN)
+
+
+def _uncompressed(content: bytes) -> bytes:
+    return zstd.decompress(content) if content.startswith(ZSTD_MAGIC) else content
 
 
 def _holds_more(part: _Part, other: _Part) -> bool:

@@ -12,8 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from backports import zstd
+from numpy.typing import NDArray
 
+from socket_testbed.arrays import IntArray
 from socket_testbed.documents import OTHER_FILE_START, load_yaml, other_file
 from socket_testbed.errors import TestbedError, TrialError
 
@@ -42,6 +45,35 @@ _OTHERS = {
     b"#ROSBAG V": ("is a bag of ROS 1", "convert it with 'rosbags-convert'"),
     b"<": ("is a web page or XML, not a recording", "download the recording itself"),
 }
+
+
+class Batch(NamedTuple):
+    """Messages of a storage file, in the order of their times.
+
+    Attributes:
+        connections: Number of each message's topic in the file, its `Connection.id`, shape (k,).
+        times: When the recorder received each message, since the epoch, shape (k,) [ns].
+        contents: The serialised messages as they were written, which may be compressed, k of them.
+    """
+
+    connections: IntArray
+    times: NDArray[np.uint64]
+    contents: list[bytes]
+
+    @classmethod
+    def empty(cls) -> Batch:
+        """No messages."""
+        return cls(np.empty(0, np.int64), np.empty(0, np.uint64), [])
+
+    def part(self, rows: slice) -> Batch:
+        """Some of the messages."""
+        return Batch(self.connections[rows], self.times[rows], self.contents[rows])
+
+    def followed_by(self, later: Batch) -> Batch:
+        """These messages and then others."""
+        connections = np.append(self.connections, later.connections)
+        times = np.append(self.times, later.times)
+        return Batch(connections, times, self.contents + later.contents)
 
 
 class ListedFile(NamedTuple):

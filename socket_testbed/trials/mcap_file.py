@@ -13,12 +13,10 @@ import io
 import math
 import struct
 import zlib
-from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import datetime
 from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -29,12 +27,14 @@ from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
+from socket_testbed.arrays import IntArray
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag_parts import (
     COPY_AGAIN,
     GIVE_BAG,
     HOLDS_NOTHING,
     MAX_APART,
+    Batch,
     describe_strays,
 )
 from socket_testbed.trials.bag_parts import MCAP_MAGIC as _MAGIC
@@ -237,47 +237,37 @@ class McapFile:
             notes.append(self._describe_cut(self._found, first))
         return notes
 
-    def messages(
-        self, connections: Collection[Connection]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
+    def batches(self, connections: Collection[Connection]) -> Iterator[Batch]:
         """The messages of some of the file's topics, in the order of their times.
 
-        Yields:
-            The topic, the recording time since the epoch [ns], and the serialised message.
+        A time that is days from the others is that of the message before.
         """
-        wanted = {connection.id: connection for connection in connections}
-        chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
+        wanted = [connection.id for connection in connections]
+        chunks = [chunk for chunk in self._chunks if chunk.counts.keys() & wanted]
         chunks.sort(key=lambda chunk: chunk.first_time)
-        next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
-        waiting: list[tuple[int, int, Connection, bytes]] = []  # chunks may overlap in time
+        next_times = (*(chunk.first_time for chunk in chunks[1:]), None)
+        waiting, places = Batch.empty(), np.empty(0, np.int64)  # chunks may overlap in time
         for chunk, next_time in zip(chunks, next_times, strict=False):
-            waiting += self._messages_of(chunk, wanted)
-            waiting.sort(key=itemgetter(0, 1))
-            ready = bisect_left(waiting, next_time, key=itemgetter(0))
-            for time, _, connection, data in waiting[:ready]:
-                yield connection, time, data
-            del waiting[:ready]
+            found = self._messages_of(chunk, wanted)
+            places = np.append(places, np.full(len(found.times), chunk.place.start))
+            waiting, places = _by_time(waiting.followed_by(found), places)
+            ready = len(places)
+            if next_time is not None:
+                ready = int(np.searchsorted(waiting.times, np.uint64(next_time)))
+            yield waiting.part(slice(None, ready))
+            waiting, places = waiting.part(slice(ready, None)), places[ready:]
 
-    def _messages_of(
-        self, chunk: _Chunk, wanted: Mapping[int, Connection]
-    ) -> list[tuple[int, int, Connection, bytes]]:
-        """The messages of a chunk, in the order of the file.
-
-        Returns:
-            Recording time since the epoch [ns], start of the chunk in the file [bytes], topic, and
-            serialised message. A time that is days from the others is that of the message before.
-        """
+    def _messages_of(self, chunk: _Chunk, wanted: Sequence[int]) -> Batch:
+        """The messages of a chunk on some channels, in the order of the file."""
         content, _ = _unpack(self._file, chunk.place)
         records = _Records(content, chunk.edges)
-        times: list[int] = records.times.tolist()
+        times = records.times
         if chunk.strays:
-            times = [*self._near_times(times, chunk.first_time)]
-        columns = (each.tolist() for each in (records.channels, records.starts, records.ends))
-        return [
-            (time, chunk.place.start, wanted[channel], content[start:end])
-            for time, channel, start, end in zip(times, *columns, strict=True)
-            if channel in wanted
-        ]
+            times = np.array([*self._near_times(times.tolist(), chunk.first_time)], np.uint64)
+        kept = np.isin(records.channels, wanted)
+        starts, ends = records.starts[kept].tolist(), records.ends[kept].tolist()
+        contents = [content[start:end] for start, end in zip(starts, ends, strict=True)]
+        return Batch(records.channels[kept], times[kept], contents)
 
     def _near_times(self, times: Iterable[int], before: int) -> Iterator[int]:
         """Recording times [ns], each that is days from the others replaced by the one before.
@@ -504,6 +494,20 @@ def _unpack(file: BinaryIO, place: _Place) -> tuple[bytes, bool]:
     return stream.read(length), bool(chunk.uncompressed_crc)
 
 
+def _by_time(batch: Batch, places: IntArray) -> tuple[Batch, IntArray]:
+    """Messages in the order of their times; of equal ones in that of the file.
+
+    Args:
+        batch: The messages, those of a chunk in the order of the file.
+        places: Start of each message's chunk in the file, shape (k,) [bytes].
+    """
+    order = np.lexsort((places, batch.times))
+    if (order[1:] > order[:-1]).all():  # nearly always
+        return batch, places
+    contents = [batch.contents[row] for row in order.tolist()]
+    return Batch(batch.connections[order], batch.times[order], contents), places[order]
+
+
 class _Records:
     """The records of a chunk, whose k messages are read all at once.
 
@@ -533,8 +537,8 @@ class _Records:
             raise ValueError("the chunk holds a torn message")
         # A message may begin at any byte.
         anywhere = max(len(content) - _MESSAGE.itemsize + 1, 0)
-        messages = np.ndarray((anywhere,), _MESSAGE, content, strides=(1,))[starts]
-        self.channels, self.times = messages["channel"], messages["time"]
+        messages = np.ndarray((anywhere,), _MESSAGE, content, strides=(1,))
+        self.channels, self.times = messages["channel"][starts], messages["time"][starts]
         self.starts, self.ends = starts + _MESSAGE.itemsize, ends
 
 

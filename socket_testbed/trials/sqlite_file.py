@@ -10,16 +10,19 @@ import shutil
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, closing, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 from rosbags.interfaces import MessageDefinitionFormat
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder
-from socket_testbed.trials.bag_parts import GIVE_BAG, MAX_APART, describe_strays
+from socket_testbed.trials.bag_parts import GIVE_BAG, MAX_APART, Batch, describe_strays
 
+_BATCH_SIZE = 1000  # messages read at once
 _SPECIAL = set("?#%")  # in a path that the library takes for a URI
 
 
@@ -81,15 +84,17 @@ class SqliteFile:
         self._reader = stack.enter_context(Reader(_as_database(stack, file)))
         self._first, self._last, self._strays = _times(file)
 
-    def messages(self, connections: Collection[Any]) -> Iterator[tuple[Any, int, bytes]]:
+    def batches(self, connections: Collection[Any]) -> Iterator[Batch]:
         """The messages of some of the file's topics, in the order of their times.
 
-        Yields:
-            The topic, the recording time since the epoch [ns], and the message as it was written,
-            which may be compressed. A time that is days from the others is the nearest of them.
+        A time that is days from the others is the nearest of them.
         """
-        for connection, time, data in self._reader.messages(connections):
-            yield connection, min(max(time, self._first), self._last), data
+        messages = self._reader.messages(connections)
+        while found := [*islice(messages, _BATCH_SIZE)]:
+            numbers = np.array([connection.id for connection, _, _ in found])
+            times = np.array([time for _, time, _ in found], np.int64)
+            times = times.clip(self._first, self._last)
+            yield Batch(numbers, times.astype(np.uint64), [bytes(data) for _, _, data in found])
 
     def notes(self, first: int) -> list[str]:
         """What was not read or was changed, one line each.

@@ -46,6 +46,8 @@ class Measurements:
             requested.
         tares: What was subtracted from the wrenches, [M; F] in {S}, shape (N, 6) [N m, N]; shape
             (0, 6) unless requested.
+        tared: When each of these tares was taken, since the epoch, shape (N,) [ns]; 0 without a
+            tare or a reading; shape (0,) unless requested.
         markers: Markers in the world by body, shape (N, k, 3) [m], with k the largest number that
             any body may have; rows beyond a body's own number are NaN. Empty unless requested.
     """
@@ -59,6 +61,7 @@ class Measurements:
     status: StatusArray
     ratios: FloatArray
     tares: FloatArray
+    tared: IntArray
     markers: dict[str, FloatArray]
 
     @property
@@ -68,8 +71,8 @@ class Measurements:
 
     def without_raw(self) -> Measurements:
         """The measurements without ratios, tares and markers, which only their check needs."""
-        nothing = np.empty((0, 6))
-        return replace(self, ratios=nothing, tares=nothing, markers={})
+        nothing, never = np.empty((0, 6)), np.empty(0, np.int64)
+        return replace(self, ratios=nothing, tares=nothing, tared=never, markers={})
 
     def packed(self) -> tuple[tuple[topics.Topic, VectorPacker, FloatArray], ...]:
         """Topic, packer of a row, and rows of the wrenches (N, 6) and of the poses (N, 7)."""
@@ -82,7 +85,8 @@ class Measurements:
 
 _BLOCK_SIZE = 10_000  # [samples]; bounds the memory for rotation matrices
 _MAX_LISTED = 3  # stamps in a note
-_WIDTHS = {topics.WRENCH: 6, topics.LOAD_CELL_RAW: 12, topics.SOCKET_POSE: 7, topics.PYLON_POSE: 7}
+_WIDTHS = {topics.WRENCH: 6, topics.SOCKET_POSE: 7, topics.PYLON_POSE: 7}
+_MISSING = {"f": np.nan, "i": 0, "u": Status.MISSING}  # by the kind of number
 _MISSING_TOPICS = {
     topics.LOAD_CELL_RAW: ("its wrenches cannot be recomputed", "leave out --load-cell and --tare"),
     topics.MARKERS: (
@@ -106,7 +110,8 @@ def read_measurements(
         notify: Called with one line on missing poses, on messages that cannot be decoded, on
             impossible values, and on stamps that are far off, jump back or occur more than once in
             a topic.
-        more: Topics to read in addition, of LOAD_CELL_RAW (fills `ratios` and `tares`) and MARKERS
+        more: Topics to read in addition, of LOAD_CELL_RAW (fills `ratios`, `tares` and
+            `tared`) and MARKERS
             (fills `markers`).
 
     Raises:
@@ -139,10 +144,12 @@ def read_measurements(
         capacitance[:, number], status[:, number] = _rows(own, stamps)
     tables = {topics.CAPACITANCE: capacitance}
     for topic, width in _WIDTHS.items():
-        if topic.required or topic in more:
-            nothing = [np.empty(0, dtype=np.int64), np.empty((0, width))]
-            (tables[topic],) = _rows(series.pop((topic, topic.name), nothing), stamps)
-    raw = tables.pop(topics.LOAD_CELL_RAW, np.empty((0, 12)))
+        nothing = [np.empty(0, dtype=np.int64), np.empty((0, width))]
+        (tables[topic],) = _rows(series.pop((topic, topic.name), nothing), stamps)
+    raw: _Columns = [np.empty((0, 12)), np.empty((0, 1), dtype=np.int64)]
+    if topics.LOAD_CELL_RAW in more:
+        key = topics.LOAD_CELL_RAW, topics.LOAD_CELL_RAW.name
+        raw = _rows(series.pop(key, [np.empty(0, dtype=np.int64), *raw]), stamps)
     for topic, values in tables.items():
         impossible = (values > _MAX_VALUE) | (values < -_MAX_VALUE)
         if impossible.any():
@@ -159,8 +166,9 @@ def read_measurements(
         clusters=clusters,
         capacitance=capacitance,
         status=status,
-        ratios=raw[:, :6],
-        tares=raw[:, 6:],
+        ratios=raw[0][:, :6],
+        tares=raw[0][:, 6:],
+        tared=raw[1][:, 0],
         markers={
             name: _rows(own, stamps)[0].reshape(-1, MAX_MARKERS, 3)
             for (topic, name), own in series.items()
@@ -207,6 +215,8 @@ def _columns(topic: topics.Topic, values: Any) -> Iterator[tuple[str, _Columns]]
     if topic is topics.CAPACITANCE:
         for number, name in enumerate(values.names):
             yield name, [values.capacitance[:, number], values.status[:, number]]
+    elif topic is topics.LOAD_CELL_RAW:
+        yield topic.name, [np.hstack([values.ratios, values.tare]), values.tared[:, np.newaxis]]
     elif topic is topics.MARKERS:
         for name, markers in values:
             seen = np.full((len(markers), MAX_MARKERS, 3), np.nan)
@@ -226,7 +236,7 @@ def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
     rows = np.searchsorted(stamps, own[kept])
     tables = []
     for column in values:
-        missing = Status.MISSING if column.dtype == np.uint8 else np.nan
+        missing = _MISSING[column.dtype.kind]
         tables.append(np.full((len(stamps), column.shape[1]), missing, column.dtype))
         tables[-1][rows] = column[kept]
     return tables

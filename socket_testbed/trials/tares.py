@@ -9,10 +9,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell.load_cell import in_words, iso_time
-from socket_testbed.trials.bag import BagReader
-from socket_testbed.wire import cdr
-from socket_testbed.wire.messages import Reader
-from socket_testbed.wire.topics import LOAD_CELL_RAW, match_topics
+from socket_testbed.trials.synchronise import Measurements
 
 
 @dataclass(frozen=True)
@@ -30,23 +27,14 @@ class RecordedTare:
     since: int
 
 
-def read_tares(bag: BagReader) -> list[RecordedTare]:
-    """The tares of an open bag, in the order of its messages; empty if none is recorded."""
-    name = match_topics(bag.types, str(bag.path)).get(LOAD_CELL_RAW, "")
-    if bag.types.get(name) != LOAD_CELL_RAW.type:
-        return []
-    reader, found = Reader(LOAD_CELL_RAW, bag.path), list[RecordedTare]()
-    for _, messages in bag.blocks([name]):
-        for places, stamps, values in reader.parts(messages):
-            wrenches = values[:, 6:]
-            new = np.ones(len(wrenches), dtype=bool)
-            new[1:] = (wrenches[1:] != wrenches[:-1]).any(axis=1)
-            for row in np.flatnonzero(new).tolist():
-                message = cdr.decode(messages[places[row]], LOAD_CELL_RAW.type)
-                taken = cdr.nanoseconds(message.tared)
-                if not found or found[-1].taken != taken:
-                    found.append(RecordedTare(wrenches[row], taken, int(stamps[row])))
-    return found
+def find_tares(measured: Measurements) -> list[RecordedTare]:
+    """The tares of a trial in the order of its samples; empty if none is recorded."""
+    known = np.flatnonzero(np.isfinite(measured.tares).all(axis=1))
+    wrenches, taken, stamps = measured.tares[known], measured.tared[known], measured.stamps[known]
+    new = np.ones(len(taken), dtype=bool)
+    new[1:] = taken[1:] != taken[:-1]
+    columns = wrenches[new], taken[new].tolist(), stamps[new].tolist()
+    return [RecordedTare(*tare) for tare in zip(*columns, strict=True)]
 
 
 def tares_in_words(tares: Sequence[RecordedTare], first: int) -> list[str]:

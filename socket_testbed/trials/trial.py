@@ -40,6 +40,7 @@ from socket_testbed.trials.segment import (
     select_segment,
     specification_of,
 )
+from socket_testbed.trials.tares import RecordedTare, find_tares
 from socket_testbed.trials.truth import GroundTruth, read_truth
 from socket_testbed.wire import topics
 from socket_testbed.wire.messages import Reader
@@ -63,6 +64,7 @@ class _Kept:
         read: The measurements, without those that only the check of the data needs, and the
             samples; None before the first reading.
         fingerprint: The fingerprint; empty before the first reading.
+        tares: The recorded tares.
         checked: The judged samples, by left-out channels.
         raw: The problems that the measurements show, and what nodes reported.
         notes: The notes as keys, in their order, without duplicates.
@@ -71,6 +73,7 @@ class _Kept:
     bag: BagReader | None = None
     read: tuple[synchronise.Measurements, Samples] | None = None
     fingerprint: str = ""
+    tares: tuple[RecordedTare, ...] = ()
     checked: dict[tuple[str, ...], CheckedSamples] = field(default_factory=dict)
     raw: tuple[DataFinding, ...] = ()
     notes: dict[str, None] = field(default_factory=dict)
@@ -183,6 +186,7 @@ class Trial:
         more = {*self.remade} | ({topics.LOAD_CELL_RAW} if bag.counts.get(name) else set())
         measured = synchronise.read_measurements(bag, self._notify, more)
         self._kept.fingerprint = _fingerprint(measured)
+        self._kept.tares = tuple(find_tares(measured))
         return self._without_strangers(measured)
 
     def _remade(self, measured: synchronise.Measurements) -> synchronise.Measurements:
@@ -386,6 +390,12 @@ class Trial:
         """Identifies the recording by its first readings, whatever its folder is called."""
         self.samples()  # keeps it
         return self._kept.fingerprint
+
+    @property
+    def tares(self) -> tuple[RecordedTare, ...]:
+        """The recorded tares, in the order of the samples; empty if none is recorded."""
+        self.samples()  # keeps them
+        return self._kept.tares
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")

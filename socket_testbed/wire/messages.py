@@ -42,7 +42,7 @@ class Reader:
 
     - Trigger: the sequence number [-];
     - WrenchStamped: [M; F], shape (..., 6) [N m, N];
-    - LoadCellRaw: ratios of the bridges [mV/V], then the tare [M; F] [N m, N], shape (..., 12);
+    - LoadCellRaw: `RawLoad`;
     - PoseStamped: position [m] and quaternion (x, y, z, w) of the body, shape (..., 7);
     - ClusterCapacitanceArray: `Capacitances`;
     - ClusterStressArray, one message only: by cluster the normal stress (positive in compression)
@@ -207,10 +207,24 @@ def _vector_packer(template: Template, field: str, *halves: str) -> VectorPacker
     return pack
 
 
-def _raw(records: cdr.Record, sample: Any) -> FloatArray:
-    """Ratios of the bridges [mV/V] and tare [M; F] [N m, N], shape (..., 12)."""
-    tare = _joined(records["tare"], "torque", "force")
-    return np.concatenate([1e3 * records["ratios"], tare], axis=-1)
+class RawLoad(NamedTuple):
+    """Readings of the load cell, of one message or with a leading axis of many.
+
+    Attributes:
+        ratios: Ratios of the bridges, shape (..., 6) [mV/V].
+        tare: What is subtracted from the wrench, [M; F] in {S}, shape (..., 6) [N m, N].
+        tared: When the tare was taken, since the epoch, shape (...) [ns]; 0 without a tare.
+    """
+
+    ratios: FloatArray
+    tare: FloatArray
+    tared: IntArray
+
+
+def _raw(records: cdr.Record, sample: Any) -> RawLoad:
+    tared = records["tared"]
+    taken = _SECOND * tared["sec"].astype(np.int64) + tared["nanosec"]
+    return RawLoad(1e3 * records["ratios"], _joined(records["tare"], "torque", "force"), taken)
 
 
 def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], bytes]:

@@ -90,7 +90,7 @@ PACK: dict[topics.Topic, Callable[[int, Any, Any], bytes]] = {
     topics.WRENCH: lambda t, v, m: messages.wrench_packer()(t, v),
     topics.SOCKET_POSE: lambda t, v, m: messages.pose_packer()(t, v),
     topics.LOAD_CELL_RAW: lambda t, v, m: messages.load_cell_raw_packer()(
-        t, v[:6], v[6:], cdr.nanoseconds(m.tared), m.status
+        t, v.ratios, v.tare, int(v.tared), m.status
     ),
     topics.CAPACITANCE: lambda t, v, m: messages.capacitance_packer(v.names)(
         t, v.capacitance, v.status
@@ -143,7 +143,8 @@ def test_packed_messages_are_those_of_ros(topic: topics.Topic) -> None:
         if topic is topics.WRENCH:
             expected = [*wrench_vector(message.wrench)]
         elif topic is topics.LOAD_CELL_RAW:
-            expected = [*(1e3 * message.ratios), *wrench_vector(message.tare)]
+            taken = 10**9 * message.tared.sec + message.tared.nanosec
+            expected = [*(1e3 * message.ratios), *wrench_vector(message.tare), taken]
         elif topic is topics.CAPACITANCE:
             expected = [x for c in message.clusters for x in c.capacitance]
             expected += [x for c in message.clusters for x in c.status]

@@ -4,6 +4,7 @@ import io
 import zlib
 from pathlib import Path
 
+import mcap.writer
 import numpy as np
 import pytest
 import rosbags.rosbag2
@@ -113,6 +114,23 @@ def test_blocks_are_by_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with BagReader(write(tmp_path / "a", 0.0, 1.0, 2.0)) as found:
         blocks = [(name, len(own)) for name, own in found.blocks(["/lab/trigger"])]
     assert blocks == [("/lab/trigger", 2), ("/lab/trigger", 1)]
+
+
+def test_two_publishers_of_a_topic_share_blocks(tmp_path: Path) -> None:
+    """Each has a channel of its own in the file, number 7 and 3; they take turns."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = mcap.writer.Writer(file)
+        writer.start()
+        kind = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channels = [writer.register_channel("/said", "cdr", kind) for _ in range(8)]
+        for number in range(4):
+            channel = channels[(7, 3)[number % 2]]
+            writer.add_message(channel, START + number, b"%d" % number, START + number)
+        writer.finish()
+    with BagReader(path) as found:
+        assert [*found.blocks(["/said"])] == [("/said", [b"0", b"1", b"2", b"3"])]
+        assert [raw.data for raw in found.messages()] == [b"0", b"1", b"2", b"3"]
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,8 @@ def measured(count: int = 9) -> Measurements:
     rest = np.tile(np.eye(7)[6], (count, 1))
     return Measurements(
         np.arange(count) * SECOND, wrench, rest, rest, ("distal",), np.full((count, 1, 4), 5.0),
-        np.zeros((count, 1, 4), np.uint8), np.zeros((count, 6)), np.zeros((count, 6)), {},
+        np.zeros((count, 1, 4), np.uint8), np.zeros((count, 6)), np.zeros((count, 6)),
+        np.zeros(count, np.int64), {},
     )  # fmt: skip
 
 

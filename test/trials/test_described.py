@@ -174,6 +174,7 @@ def measured(count: int = 9) -> Measurements:
         status=np.zeros((count, 1, 4), np.uint8),
         ratios=np.zeros((count, 6)),
         tares=np.tile(TARE, (count, 1)),
+        tared=np.zeros(count, np.int64),
         markers={},
     )
 

@@ -136,7 +136,9 @@ def test_raw_ratios_are_read_in_millivolts_per_volt() -> None:
     pack = messages.load_cell_raw_packer()
     tare = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     stamp, read = Reader(topics.LOAD_CELL_RAW).read(pack(7, np.arange(6.0), tare, 3, 0))
-    assert stamp == 7 and read.tolist() == pytest.approx([0, 1, 2, 3, 4, 5, 1, 2, 3, 4, 5, 6])
+    assert stamp == 7 and read.tared == 3
+    assert read.ratios.tolist() == pytest.approx([0, 1, 2, 3, 4, 5])
+    assert read.tare.tolist() == [1, 2, 3, 4, 5, 6]
 
 
 def test_bodies_have_their_own_markers() -> None:

@@ -242,7 +242,8 @@ def measured(count: int = 9, fz: float = 15.0) -> Measurements:
     rest = np.tile(np.eye(7)[6], (count, 1))
     return Measurements(
         np.arange(count) * 10**9, wrench, rest, rest, ("distal",), np.full((count, 1, 4), 5.0),
-        np.zeros((count, 1, 4), np.uint8), np.zeros((count, 6)), tares, {},
+        np.zeros((count, 1, 4), np.uint8), np.zeros((count, 6)), tares,
+        np.zeros(count, np.int64), {},
     )  # fmt: skip
 
 

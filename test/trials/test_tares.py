@@ -1,49 +1,58 @@
 """The tares of a trial, in its messages and in words."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.bags import copying
 
-from socket_testbed.trials.tares import RecordedTare, read_tares, tares_in_words
-from socket_testbed.wire import messages, topics
+from socket_testbed.trials.tares import RecordedTare, tares_in_words
+from socket_testbed.trials.trial import Trial
+from socket_testbed.wire.cdr import decode, stamp_of
+from socket_testbed.wire.messages import load_cell_raw_packer
 
 SECOND = 10**9  # [ns]
 START = 1_795_000_000 * SECOND  # 2026-11-18 11:06:40 UTC
 OFFSETS = np.array([0.1, 0.2, 0.3, 4.0, 5.0, -61.0])
 
 
-def bag_of(*tares: tuple[int, np.ndarray]) -> SimpleNamespace:
-    """A bag of a message a second, each with when its tare was taken [ns], and the tare."""
-    pack = messages.load_cell_raw_packer()
-    data = [
-        pack(START + k * SECOND, np.zeros(6), wrench, taken, 0)
-        for k, (taken, wrench) in enumerate(tares)
-    ]
-    name = "/lab/load_cell/raw"
-    return SimpleNamespace(
-        path=Path("trial"),
-        types={name: topics.LOAD_CELL_RAW.type},
-        blocks=lambda wanted: iter([(name, data[:2]), (name, data[2:])]),
-    )
+FIRST = (START - 300 * SECOND, OFFSETS)
+SECOND_TARE = (START + 2 * SECOND, 2.0 * OFFSETS)
 
 
-def test_each_tare_of_a_trial_is_found_once() -> None:
-    """The second is taken in the third second, 6 min after the first."""
-    first, second = (START - 300 * SECOND, OFFSETS), (START + 2 * SECOND, 2.0 * OFFSETS)
-    found = read_tares(bag_of(first, first, first, second, second))
+def taken_off(trial: Path, tares: list[tuple[int, np.ndarray]], path: Path) -> Trial:
+    """A copy of a trial whose first readings have some tares, and all later ones the last."""
+    pack, left = load_cell_raw_packer(), iter(tares)
+    taken, wrench = tares[-1]
+    with copying(trial, path) as (old, new):
+        for raw in old.messages():
+            data = raw.data
+            if raw.topic == "/load_cell/raw":
+                taken, wrench = next(left, (taken, wrench))
+                data = pack(stamp_of(decode(data, raw.type)), np.zeros(6), wrench, taken, 0)
+            new.write(raw.topic, raw.time, data)
+    return Trial(path)
+
+
+def test_each_tare_is_found_once(hold: Path, tmp_path: Path) -> None:
+    """The second one is subtracted from the fourth reading on, after one without any tare."""
+    missing = (0, np.full(6, np.nan))
+    tares = [FIRST, FIRST, missing, SECOND_TARE, SECOND_TARE]
+    trial = taken_off(hold, tares, tmp_path / "tared")
+    found = trial.tares
+    stamps = trial.samples().stamps.tolist()
     assert [(t.taken, t.since) for t in found] == [
-        (START - 300 * SECOND, START),
-        (START + 2 * SECOND, START + 3 * SECOND),
+        (START - 300 * SECOND, stamps[0]),
+        (START + 2 * SECOND, stamps[3]),
     ]
     assert found[1].wrench.tolist() == (2.0 * OFFSETS).tolist()
 
 
-def test_a_bag_without_raw_readings_has_no_tare() -> None:
-    bag = bag_of((0, OFFSETS))
-    bag.types = {"/load_cell/wrench": topics.WRENCH.type}
-    assert read_tares(bag) == []
+def test_a_trial_without_raw_readings_has_no_tare(hold: Path, tmp_path: Path) -> None:
+    with copying(hold, tmp_path / "plain") as (old, new):
+        for raw in old.messages([name for name in old.counts if name != "/load_cell/raw"]):
+            new.write(raw.topic, raw.time, raw.data)
+    assert Trial(tmp_path / "plain").tares == ()
     assert tares_in_words([], START) == ["tare: not recorded"]
 
 
