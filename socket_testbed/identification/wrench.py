@@ -42,6 +42,7 @@ _NOISES = (0.1, 0.3, 0.5, 0.7, 0.9)  # [-]; share of the noise in the process's 
 _BLOCKS = 4  # held out in turn
 _LEAST_IN_BLOCK = 10  # [samples]
 _MAX_WORSE = 1.05  # [-]; error of the process over that of the regression, to be used
+_RUN = 128  # [samples]; joined at once, in the cache
 _STEPS = 21  # steps between samples that show the usual one
 _CHUNK = 4096  # samples; memory grows with samples times support points
 _RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
@@ -118,24 +119,28 @@ class PoseTrail:
         """
         # What does not rest on the sample before is computed for all samples at once.
         moved = motions / self._scale
-        steps = np.array([self._step(stamp) for stamp in stamps.tolist()])
+        steps = self._time_steps(stamps)
         kept = np.exp(-1e-9 * steps[:, None] / self._ages)  # 0 where the memory is empty
         weighed = np.column_stack([moved, np.ones(len(moved))])
-        sums = np.empty((len(moved), 2, 7))
-        for share, own, total in zip(kept[..., None], weighed, sums, strict=True):
-            np.multiply(self._sums, share, out=total)
-            np.add(total, own, out=total)
-            self._sums = total
+        sums = _kept_sums(self._sums, kept[:, :, None], weighed[:, None])
         recent, lasting = np.moveaxis(sums[..., :6] / sums[..., 6:], 1, 0)
         fresh = np.isinf(steps)[:, None, None]
         reach = np.where(fresh, 0.0, self._widths)  # without a past a play is where the limb is
-        plays = np.empty((len(moved), 2, 6))
-        ends = zip(recent[:, None] - reach, recent[:, None] + reach, plays, strict=True)
-        for low, high, play in ends:
-            np.maximum(self._plays, low, out=play)
-            np.minimum(play, high, out=play)
-            self._plays = play
+        plays = _dragged(self._plays, recent[:, None] - reach, recent[:, None] + reach)
+        if len(moved):
+            self._sums, self._plays = sums[-1], plays[-1]
         return np.hstack([moved, plays.reshape(-1, 12), moved - lasting])
+
+    def _time_steps(self, stamps: IntArray) -> FloatArray:
+        """Times from the samples before, shape (N,), as `_step` gives them."""
+        last = stamps[:0] if self._last is None else np.array([self._last])
+        steps = np.diff(np.concatenate([last, stamps]))
+        known = [*self._steps, *steps.tolist()]
+        if len(steps) == len(stamps) > 0 and 0 < min(known) >= max(known) / BREAK:  # quick
+            self._steps.extend(steps[-_STEPS:].tolist())
+            self._last = int(stamps[-1])
+            return steps.astype(np.float64)
+        return np.array([self._step(stamp) for stamp in stamps.tolist()])
 
     def _step(self, stamp: int) -> float:
         """Time from the sample before, 0 or more [ns]; infinite if the memory is empty."""
@@ -155,6 +160,68 @@ class PoseTrail:
         ordered = sorted(self._steps)  # numpy's median takes 30 times as long for so few
         usual = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         return abs(step) > BREAK * usual
+
+
+def _kept_sums(before: FloatArray, kept: FloatArray, added: FloatArray) -> FloatArray:
+    """Sums of which a share is kept at each of N steps, after which something is added.
+
+    Two steps in a row are one that keeps the product of their shares: steps are joined to runs of
+    2, 4, 8, ... (Hillis & Steele, Data Parallel Algorithms, 1986).
+
+    Args:
+        before: The sums before the first step, shape (2, 7).
+        kept: Share that is kept at each step, shape (N, 2, 1) [-].
+        added: What is added at each step, shape (N, 1, 7).
+
+    Returns:
+        The sums after each step, shape (N, 2, 7).
+    """
+    sums = np.empty((len(kept), *before.shape))
+    for start in range(0, len(kept), _RUN):
+        rows = slice(start, start + _RUN)
+        share, total = kept[rows].copy(), sums[rows]
+        total[:] = added[rows]
+        total[0] += share[0] * before
+        for width in _doubled(len(total)):
+            total[width:] = share[width:] * total[:-width] + total[width:]
+            share[width:] = share[width:] * share[:-width]
+        before = total[-1]
+    return sums
+
+
+def _dragged(before: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Positions of bodies that are pushed between a lower and an upper end at each of N steps.
+
+    Two pushes in a row are one, whose ends are those of the first as the second one pushes them:
+    see `_kept_sums`.
+
+    Args:
+        before: Positions before the first step, shape (2, 6) [-].
+        low: Lower ends, shape (N, 2, 6) [-].
+        high: Upper ends, shape (N, 2, 6) [-].
+
+    Returns:
+        The positions after each step, shape (N, 2, 6) [-].
+    """
+    positions = np.empty_like(low)
+    for start in range(0, len(low), _RUN):
+        rows = slice(start, start + _RUN)
+        least, most = low[rows].copy(), high[rows].copy()
+        for width in _doubled(len(least)):
+            own_low, own_high = least[width:].copy(), most[width:].copy()
+            least[width:] = least[:-width].clip(own_low, own_high)
+            most[width:] = most[:-width].clip(own_low, own_high)
+        positions[rows] = before.clip(least, most)
+        before = positions[rows][-1]
+    return positions
+
+
+def _doubled(size: int) -> Iterator[int]:
+    """1, 2, 4, ... below a size."""
+    width = 1
+    while width < size:
+        yield width
+        width *= 2
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,28 @@ def test_samples_may_come_one_by_one(rng):
     at_once = wrench.PoseTrail(scale).add(times.astype(np.int64), motions)
     trail, parts = wrench.PoseTrail(scale), np.split(np.arange(9), [1, 2, 2, 5])
     found = [trail.add(times[part].astype(np.int64), motions[part]) for part in parts]
-    np.testing.assert_array_equal(np.vstack(found), at_once)
+    np.testing.assert_allclose(np.vstack(found), at_once, rtol=1e-12)
+
+
+def test_a_long_trail_is_that_of_single_steps(rng):
+    """Means and plays by their definitions, step by step; a rest of 100 s empties the memory."""
+    count, rest = 700, 450
+    times = 0.02 * np.arange(count) + 100.0 * (np.arange(count) >= rest)
+    motions = 0.2 * np.cumsum(rng.normal(size=(count, 6)), axis=0)
+    found = wrench.PoseTrail(np.ones(6)).add(np.round(times * SECOND).astype(np.int64), motions)
+    for row in (0, 1, 140, rest - 1, rest, rest + 1, count - 1):
+        first = rest if row >= rest else 0
+        past = np.arange(first, row + 1)
+        lasting = np.exp((times[past] - times[row]) / 10.0)
+        mean = lasting @ motions[past] / lasting.sum()
+        assert found[row, 18:] == pytest.approx(motions[row] - mean, abs=1e-9)
+        for number, width in enumerate((0.3, 1.0)):
+            at = motions[first].copy()
+            for step in past:
+                recent = np.exp((times[first : step + 1] - times[step]) / 0.35)
+                pulled = recent @ motions[first : step + 1] / recent.sum()
+                at = np.minimum(np.maximum(at, pulled - width), pulled + width)
+            assert found[row, 6 + 6 * number : 12 + 6 * number] == pytest.approx(at, abs=1e-9)
 
 
 def memory_of(support, left, **changes):
