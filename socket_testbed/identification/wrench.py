@@ -133,13 +133,16 @@ class PoseTrail:
 
     def _time_steps(self, stamps: IntArray) -> FloatArray:
         """Times from the samples before, shape (N,), as `_step` gives them."""
-        last = stamps[:0] if self._last is None else np.array([self._last])
-        steps = np.diff(np.concatenate([last, stamps]))
-        known = [*self._steps, *steps.tolist()]
-        if len(steps) == len(stamps) > 0 and 0 < min(known) >= max(known) / BREAK:  # quick
-            self._steps.extend(steps[-_STEPS:].tolist())
+        first = int(self._last is None)  # row of the first step that is known
+        before = stamps[:1] if first else np.array([self._last])
+        steps = np.diff(np.concatenate([before, stamps]))
+        known = [*self._steps, *steps[first:].tolist()]
+        if (
+            len(stamps) and known and 0 < min(known) >= max(known) / BREAK
+        ):  # quick: in order, without a break
+            self._steps.extend(steps[first:][-_STEPS:].tolist())
             self._last = int(stamps[-1])
-            return steps.astype(np.float64)
+            return np.concatenate([np.full(first, np.inf), steps[first:]])
         return np.array([self._step(stamp) for stamp in stamps.tolist()])
 
     def _step(self, stamp: int) -> float:
