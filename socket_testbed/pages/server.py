@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 import threading
 from functools import cache
 from http import HTTPStatus
@@ -108,6 +109,11 @@ class PageServer(ThreadingHTTPServer):
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
             return "requests from other pages are refused"
         return ""
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error of a request, unless the browser has gone, as with a closed tab."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     def close(self) -> None:
         """Stop serving, including on open connections."""

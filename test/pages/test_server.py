@@ -3,6 +3,8 @@
 import http.client
 import json
 import socket
+import struct
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -55,6 +57,22 @@ def answer(
     text = found.read()
     connection.close()
     return found.status, found.headers, text
+
+
+@pytest.mark.parametrize("path", ["/start", "/plotly.js"], ids=["waiting", "reading"])
+def test_a_browser_that_goes_is_no_error(
+    path: str, server: PageServer, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A closed tab resets its connection; the terminal belongs to the status of the graph."""
+    address = server.socket.getsockname()
+    with socket.create_connection(address) as tab:
+        tab.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        tab.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost:{address[1]}\r\n\r\n".encode())
+        tab.recv(1)
+    for thread in threading.enumerate():
+        if "process_request" in thread.name:
+            thread.join(HANGS)
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1", "LocalHost", "lab-pi.example.org"])
