@@ -137,9 +137,8 @@ class PoseTrail:
         before = stamps[:1] if first else np.array([self._last])
         steps = np.diff(np.concatenate([before, stamps]))
         known = [*self._steps, *steps[first:].tolist()]
-        if (
-            len(stamps) and known and 0 < min(known) >= max(known) / BREAK
-        ):  # quick: in order, without a break
+        # Nearly always: in order and without a break.
+        if len(stamps) and known and min(known) > 0 and max(known) <= BREAK * min(known):
             self._steps.extend(steps[first:][-_STEPS:].tolist())
             self._last = int(stamps[-1])
             return np.concatenate([np.full(first, np.inf), steps[first:]])

@@ -235,15 +235,15 @@ class BagReader:
         names = [*topics]
         blocks: dict[str, list[bytes]] = {name: [] for name in names}
         for file, reader in self._readers:
-            numbers = [connection.id for connection in reader.connections]
-            topic_by_number = np.full(max(numbers, default=0) + 1, -1)
+            # Publishers of a topic have connections of their own.
+            places = np.full(max((c.id for c in reader.connections), default=0) + 1, -1)
             for connection in reader.connections:
                 if connection.topic in blocks:
-                    topic_by_number[connection.id] = names.index(connection.topic)
+                    places[connection.id] = names.index(connection.topic)
             for batch in _batches(file, reader, topics):
-                topic_of = topic_by_number[batch.connections]
+                place_of = places[batch.connections]
                 for place, topic in enumerate(names):
-                    rows = np.flatnonzero(topic_of == place).tolist()
+                    rows = np.flatnonzero(place_of == place).tolist()
                     block = blocks[topic]
                     block += [batch.contents[row] for row in rows]
                     while len(block) >= _BLOCK_SIZE:
