@@ -51,9 +51,9 @@ def test_mean_over_cycles_is_known(walk: Trial, table: pd.DataFrame) -> None:
     inner = slice(1, -1)  # at its ends a cycle meets its neighbour
     offsets = np.array([0, 1, 2, 3, 4, 6])  # the pause is number 5
     expected = np.sin(np.pi * percent / 100) ** 2 + offsets.mean()
-    assert np.allclose(found["sine mean [kPa]"][inner], expected[inner], atol=2e-4)
-    assert np.allclose(found["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
-    assert np.allclose(found["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
+    assert np.allclose(found["sine mean [kPa]"].iloc[inner], expected[inner], atol=2e-4)
+    assert np.allclose(found["sine sd [kPa]"].iloc[inner], offsets.std(ddof=1), atol=2e-4)
+    assert np.allclose(found["ramp mean [-]"].iloc[inner], percent[inner] / 100, atol=1e-3)
     assert found["ramp n [-]"].min() == 5 and (found["sine n [-]"] == 6).all()
 
 

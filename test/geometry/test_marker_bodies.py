@@ -42,9 +42,9 @@ def errors_of(fit, body, pose) -> tuple[np.ndarray, np.ndarray]:
     """How far the middle of the markers [m] and the rotation [rad] of the poses found are off."""
     found, middle = fit.found, np.tile(body.mean(axis=0), (len(fit.found), 1))
     off = np.linalg.norm(fit.pose.apply(middle) - pose.apply(middle), axis=1)
-    turned = Rotation.from_matrix(fit.pose.rotation[found]).inv()
-    turned *= Rotation.from_matrix(pose.rotation[found])
-    return off[found], turned.magnitude()
+    turned = fit.pose.rotation[found].swapaxes(1, 2) @ pose.rotation[found]
+    angles = [Rotation.from_matrix(each).magnitude() for each in turned]
+    return off[found], np.array(angles)
 
 
 def check(fit, body, pose) -> None:
