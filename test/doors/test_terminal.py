@@ -728,6 +728,21 @@ def test_one_trial_has_its_own_figures(validation_lines: dict[int, list[str]]) -
     assert "rigid_bias 1.000 20.00 0.75 0.50" in lines
 
 
+def test_a_single_bad_trial_spoils_no_median_skill(
+    monkeypatch: pytest.MonkeyPatch, scene_folder: Path
+) -> None:
+    """Skills of 0.75, 0.25 and -8, and of 0.5, -0.3 and -4; of RMSE the means."""
+    bad = judged(
+        *("wrench", "rigid_bias", "second half", "c"),
+        **{"moment_rmse": 6.0, "force_rmse": 20.0, "moment_skill": -8.0, "force_skill": -4.0},
+    )
+    own = [each for each in JUDGEMENTS if each.predictor == "rigid_bias"]
+    metadata = tuple(TrialMetadata(subject=f"S-{name}") for name in "abc")
+    found = api.Validation(("a", "b", "c"), ("a",), (*own, bad), metadata)
+    monkeypatch.setattr(api, "validate", wrapped(found, "validate"))
+    assert "rigid_bias 3.000 30.00 0.25 -0.30" in Printed("validate", scene_folder).lines
+
+
 def test_a_study_has_a_row_per_trial() -> None:
     table = validated("a", "b").by_trial()
     assert [*table.index] == ["a", "b"] and table["subject"].tolist() == ["S-a", "S-b"]
