@@ -181,21 +181,26 @@ def test_a_call_is_understood(call: str, made) -> None:
     assert eval(call, vars(made)) == RIGHT[call]
 
 
-def test_a_foreign_segment_is_refused(trial) -> None:
-    for foreign in (
-        Segment("span", 0.0, 900.0, slice(0, 3600)),
-        Segment("span", 3.0, 5.0, slice(0, 9)),
-    ):
-        with pytest.raises(TrialError, match="is no part of the trial"):
-            trial.select(foreign)
+@pytest.mark.parametrize(
+    "foreign",
+    [Segment("span", 0.0, 900.0, slice(0, 3600)), Segment("span", 3.0, 5.0, slice(0, 9))],
+    ids=["longer", "at other times"],
+)
+def test_a_foreign_segment_is_refused(foreign: Segment, trial) -> None:
+    with pytest.raises(TrialError, match="is no part of the trial"):
+        trial.select(foreign)
 
 
-def test_a_left_out_cluster_is_not_used(trial) -> None:
-    for given in ("distal", ["distal"], ["distal.Fx", "distal.Fy", "distal.Fz"]):
-        used = st.pressure(trial, "all", leave_out=given).outputs.samples
-        number = used.clusters.index("distal")
-        assert np.isnan(used.local_forces[:, number]).all()
-        assert np.isfinite(np.delete(used.local_forces, number, axis=1)).any()
+@pytest.mark.parametrize(
+    "given",
+    ["distal", ["distal"], ["distal.Fx", "distal.Fy", "distal.Fz"]],
+    ids=["text", "list", "channels"],
+)
+def test_a_left_out_cluster_is_not_used(given: str | list[str], trial) -> None:
+    used = st.pressure(trial, "all", leave_out=given).outputs.samples
+    number = used.clusters.index("distal")
+    assert np.isnan(used.local_forces[:, number]).all()
+    assert np.isfinite(np.delete(used.local_forces, number, axis=1)).any()
 
 
 def test_stored_settings_may_name_a_cluster(folder: Path, tmp_path: Path) -> None:
@@ -296,15 +301,25 @@ def test_a_trial_has_a_long_table(trial) -> None:
     assert [*long] == ["trial", "time [s]", "source", "quantity", "unit", "value"]
     wide = trial.to_dataframe()
     assert len(long) == wide.size and {*long["trial"]} == {"hold"}
-    for source, quantity, title in (
-        ("wrench", "Mx", "Mx [N m]"),
-        ("limb", "q_z", "q_z [m]"),
-        ("distal", "Fy", "distal.Fy [N]"),
-    ):
-        own = long[(long["source"] == source) & (long["quantity"] == quantity)]
-        np.testing.assert_array_equal(own["value"], wide[title])
-        np.testing.assert_array_equal(own["time [s]"], wide.index)
-        assert f"[{own['unit'].iloc[0]}]" in title
+
+
+@pytest.mark.parametrize(
+    ("source", "quantity", "unit", "title"),
+    [
+        ("wrench", "Mx", "N m", "Mx [N m]"),
+        ("limb", "q_z", "m", "q_z [m]"),
+        ("distal", "Fy", "N", "distal.Fy [N]"),
+    ],
+    ids=["wrench", "limb", "cluster"],
+)
+def test_a_long_table_has_the_wide_one_s_values(
+    source: str, quantity: str, unit: str, title: str, trial
+) -> None:
+    long, wide = trial.to_long(), trial.to_dataframe()
+    own = long[(long["source"] == source) & (long["quantity"] == quantity)]
+    np.testing.assert_array_equal(own["value"], wide[title])
+    np.testing.assert_array_equal(own["time [s]"], wide.index)
+    assert {*own["unit"]} == {unit}
 
 
 def test_pressure_has_a_long_table(results) -> None:

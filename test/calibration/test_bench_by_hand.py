@@ -443,17 +443,29 @@ def test_features_are_of_the_channels_places() -> None:
     assert model.SHEAR_TERMS == ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
 
 
-def test_ranges_include_their_ends() -> None:
+# Mean and difference along x [pF], and the status: 0 within the ranges, 3 outside
+AT_THE_ENDS = {
+    "lowest mean": (4.0, 0.0, Status.OK),
+    "mean too low": (3.9, 0.0, Status.OUT_OF_RANGE),
+    "highest mean": (6.0, 0.0, Status.OK),
+    "mean too high": (6.1, 0.0, Status.OUT_OF_RANGE),
+    "highest difference": (5.0, 0.5, Status.OK),
+    "difference too high": (5.0, 0.6, Status.OUT_OF_RANGE),
+    "lowest difference": (5.0, -1.0, Status.OK),
+    "difference too low": (5.0, -1.1, Status.OUT_OF_RANGE),
+}
+
+
+@pytest.mark.parametrize("case", AT_THE_ENDS)
+def test_ranges_include_their_ends(case: str) -> None:
+    """The mean from 4 to 6 pF, both differences from -1 to 0.5 pF."""
+    mean, dx, expected = AT_THE_ENDS[case]
     cluster = replace(
         nominal(), mean_range=np.array([4.0, 6.0]), difference_range=np.array([-1.0, 0.5])
     )
-    rows = {4.0: 0, 3.9: 3, 6.0: 0, 6.1: 3}
-    for mean, expected in rows.items():
-        assert cluster.apply(np.full(4, mean), np.zeros(4, np.uint8))[1] == expected
-    for dx, expected in {0.5: Status.OK, 0.6: 3, -1.0: 0, -1.1: 3}.items():
-        channels = 5.0 + 0.5 * dx * np.array([-1.0, 1.0, -1.0, 1.0])
-        inputs = channels[np.argsort(cluster.wiring)]
-        assert cluster.apply(inputs, np.zeros(4, np.uint8))[1] == expected
+    channels = mean + 0.5 * dx * np.array([-1.0, 1.0, -1.0, 1.0])
+    inputs = channels[np.argsort(cluster.wiring)]
+    assert cluster.apply(inputs, np.zeros(4, np.uint8))[1] == expected
 
 
 def test_a_calibration_has_an_origin() -> None:

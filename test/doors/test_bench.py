@@ -352,9 +352,13 @@ def test_figures_are_in_percent_of_full_scale() -> None:
 # --- drift by hand
 
 
-def test_a_drift_is_flagged_on_either_side() -> None:
-    for change, flagged in ((999.0, False), (1001.0, True), (-1001.0, True)):
-        assert Drift(np.zeros(4), np.array([0.0, change, 0.0])).flagged is flagged
+@pytest.mark.parametrize(
+    ("change", "flagged"),
+    [(999.0, False), (1001.0, True), (-999.0, False), (-1001.0, True)],
+    ids=["rise within", "rise beyond", "fall within", "fall beyond"],
+)
+def test_a_drift_is_flagged_on_either_side(change: float, flagged: bool) -> None:
+    assert Drift(np.zeros(4), np.array([0.0, change, 0.0])).flagged is flagged
 
 
 def test_a_drift_is_taken_off_by_time() -> None:

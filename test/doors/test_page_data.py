@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support import scene
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.wall import patches
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.pages import document
@@ -254,19 +255,41 @@ def test_a_card_s_interval_is_in_order(now: dict[str, Any]) -> None:
         assert high - low == pytest.approx(4.9, abs=0.1)
 
 
-def test_a_peak_without_its_sensor_is_estimated() -> None:
-    """`mid_anterior` has no reading."""
+def cards_of(pressure: FloatArray) -> list[document.Document]:
+    """Cards of the tiles' pressures [Pa]; every peak is 60 kPa, and `mid_anterior` has no value."""
     places = all_regions(scene.geometry(), "right")
     value = np.full(len(places), 6e4)
     own = document.Quantity(value, value - 1e3, value + 2e3, value)
     outputs = document.RegionOutputs(*[own] * 8)
-    pressure = 1e3 * np.array([own[0] for own in scene.STRESS.values()])
     measured = np.array([3e4, np.nan, 2e4, 1e4])
-    peak, _ = document.cards(scene.geometry(), places, outputs, pressure, measured)
+    return document.cards(scene.geometry(), places, outputs, pressure, measured)
+
+
+def test_a_peak_without_its_sensor_is_estimated() -> None:
+    """`mid_anterior` has no reading."""
+    peak, _ = cards_of(1e3 * np.array([own[0] for own in scene.STRESS.values()]))
     assert peak == {
         "title": "Peak", "value": "60.0 kPa", "interval": "59.0 to 62.0",
         "words": "anterior middle, estimated",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("tile", "place"),
+    [
+        ("ant_prox", "anterior proximal"),
+        ("left_mid", "medial middle"),
+        ("right_mid", "lateral middle"),
+        ("left_end", "the distal end"),
+    ],
+)
+def test_the_second_card_names_its_tile_s_place(tile: str, place: str) -> None:
+    """Beside tiles with clusters, whose pressures are higher."""
+    geometry = scene.geometry()
+    pressure = np.where(geometry.covered, 6e4, 1e4)
+    pressure[geometry.names.index(tile)] = 3e4
+    _, elsewhere = cards_of(pressure)
+    assert elsewhere["words"] == f"highest where no sensor is: {place}"
 
 
 def test_the_wrench_table_has_units(now: dict[str, Any]) -> None:

@@ -122,13 +122,19 @@ def test_cycles_name_axes_and_quantities(drawn_cycles: Figure) -> None:
     )
 
 
-def test_cycles_are_in_two_columns_of_a_page(cycles: Cycles) -> None:
+@pytest.mark.parametrize(
+    ("width", "columns", "height"),
+    [(180, [0, 1, 0], 100.0), (88, [0, 0, 0], 144.0)],
+    ids=["page", "column"],
+)
+def test_cycles_are_in_two_columns_of_a_page(
+    width: int, columns: list[int], height: float, cycles: Cycles
+) -> None:
     """Rows of 44 mm, and a heading of 12 mm."""
-    for width, columns, height in ((180, [0, 1, 0], 100.0), (88, [0, 0, 0], 144.0)):
-        figure = cycles.figure(width=width)
-        specs = [axis.get_subplotspec() for axis in figure.axes]
-        assert [spec.colspan.start for spec in specs] == columns
-        assert figure.get_size_inches() * 25.4 == pytest.approx([width, height])
+    figure = cycles.figure(width=width)
+    specs = [axis.get_subplotspec() for axis in figure.axes]
+    assert [spec.colspan.start for spec in specs] == columns
+    assert figure.get_size_inches() * 25.4 == pytest.approx([width, height])
 
 
 def test_two_cycles_have_no_band(trial: Trial) -> None:

@@ -428,15 +428,20 @@ def test_a_press_is_judged(case: str, monkeypatch: pytest.MonkeyPatch, tmp_path:
     [(0, (0, -1, 0)), (1, (1, 0, 0)), (2, (-1, 0, 0)), (3, (0, 0, -1))],
     ids=NAMES,
 )
+@pytest.mark.parametrize(("sign", "right"), [(1, True), (-1, False)], ids=["outwards", "inwards"])
 def test_every_cluster_is_pressed_outwards(
-    number: int, outward: Sequence[int], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    number: int,
+    outward: Sequence[int],
+    sign: int,
+    right: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     """On the distal end outwards is down."""
     felt = 10.0 * np.eye(4)[number]
-    for sign, right in ((1, True), (-1, False)):
-        force = 20.0 * sign * np.array(outward)
-        outcomes, _ = pressed(monkeypatch, tmp_path, felt, force)
-        assert (outcomes[number].hint == "") is right
+    force = 20.0 * sign * np.array(outward)
+    outcomes, _ = pressed(monkeypatch, tmp_path, felt, force)
+    assert (outcomes[number].hint == "") is right
 
 
 # --- pareto
@@ -726,6 +731,21 @@ def test_one_trial_has_its_own_figures(validation_lines: dict[int, list[str]]) -
     assert "force map 0.30 42 78 95" in lines
     assert "predictor moment RMSE [N m] force RMSE [N] moment skill [-] force skill [-]" in lines
     assert "rigid_bias 1.000 20.00 0.75 0.50" in lines
+
+
+def test_a_single_bad_trial_spoils_no_median_skill(
+    monkeypatch: pytest.MonkeyPatch, scene_folder: Path
+) -> None:
+    """Skills of 0.75, 0.25 and -8, and of 0.5, -0.3 and -4; of RMSE the means."""
+    bad = judged(
+        *("wrench", "rigid_bias", "second half", "c"),
+        **{"moment_rmse": 6.0, "force_rmse": 20.0, "moment_skill": -8.0, "force_skill": -4.0},
+    )
+    own = [each for each in JUDGEMENTS if each.predictor == "rigid_bias"]
+    metadata = tuple(TrialMetadata(subject=f"S-{name}") for name in "abc")
+    found = api.Validation(("a", "b", "c"), ("a",), (*own, bad), metadata)
+    monkeypatch.setattr(api, "validate", wrapped(found, "validate"))
+    assert "rigid_bias 3.000 30.00 0.25 -0.30" in Printed("validate", scene_folder).lines
 
 
 def test_a_study_has_a_row_per_trial() -> None:

@@ -287,18 +287,28 @@ def test_a_summary_has_the_segment_s_columns() -> None:
 
 def test_an_option_has_name_and_value() -> None:
     assert options.name_and_value("a=b=c", "--x", "y=z") == ("a", "b=c")
-    for word in ("a", "a=", "=b"):
-        with pytest.raises(ConfigurationError) as found:
-            options.name_and_value(word, "--x", "y=z")
-        assert found.value.fact == f"--x: '{word}' is not NAME=VALUE"
-        assert found.value.hint == "write it as y=z"
 
 
-def test_only_given_options_are_refused() -> None:
+@pytest.mark.parametrize("word", ["a", "a=", "=b"], ids=["name", "no value", "no name"])
+def test_half_an_option_is_refused(word: str) -> None:
+    with pytest.raises(ConfigurationError) as found:
+        options.name_and_value(word, "--x", "y=z")
+    assert found.value.fact == f"--x: '{word}' is not NAME=VALUE"
+    assert found.value.hint == "write it as y=z"
+
+
+def test_options_left_as_they_are_pass() -> None:
     options.refuse_given({"model": None, "tare": "recorded"}, "x", "y")
-    for name, value in (("tare", "none"), ("view_port", 0)):
-        with pytest.raises(ConfigurationError, match=f"--{name.replace('_', '-')} is for x"):
-            options.refuse_given({name: value}, "x", "y")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown"),
+    [("tare", "none", "--tare"), ("view_port", 0, "--view-port")],
+    ids=["text", "zero"],
+)
+def test_given_options_are_refused(name: str, value: object, shown: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"{shown} is for x"):
+        options.refuse_given({name: value}, "x", "y")
 
 
 # --- simulate, info, annotate

@@ -244,6 +244,18 @@ def test_the_pose_is_the_mean_of_the_window() -> None:
     assert between.frames == 2
 
 
+def test_frames_beyond_the_window_do_not_count() -> None:
+    """At 4 m/s^2 t^2 the two frames 5 ms from the trigger are at 0.1 mm, the next two at 0.9 mm."""
+
+    def thrown(body: int, moment: float) -> tuple[np.ndarray, Rotation]:
+        return np.array([4.0 * moment**2, 0.0, 0.0]), Rotation.identity()
+
+    tracker = tracker_of([-0.015, -0.005, 0.005, 0.015], pose=thrown)
+    socket, _ = tracker.sample(0.0, 0.02)
+    assert socket.frames == 2
+    np.testing.assert_allclose(socket.pose[:3], [1e-4, 0.0, 0.0], atol=1e-12)
+
+
 @pytest.mark.parametrize("share", [1.0, 0.5], ids=["every-frame", "half-of-the-frames"])
 def test_a_mean_does_not_lag_behind_a_motion(share: float) -> None:
     """Wherever the trigger is between frames, and whichever are missing or without a pose."""

@@ -637,14 +637,26 @@ def test_another_testbed_s_trigger_is_an_error(
     assert level == ERROR and text.startswith("another trigger is active on this ROS_DOMAIN_ID:")
 
 
+@pytest.mark.parametrize(
+    ("step", "shown"),
+    [
+        pytest.param(3_650_000_000, "+3.6", id="forward"),
+        pytest.param(-3_650_000_000, "-3.6", id="back"),
+    ],
+)
 def test_a_step_of_the_clock_is_a_warning(
-    triggering: trigger_node.TriggerNode, make: Maker, monkeypatch: pytest.MonkeyPatch
+    step: int,
+    shown: str,
+    triggering: trigger_node.TriggerNode,
+    make: Maker,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """By 3.65 s, of which two digits do not depend on when the two clocks are read."""
     wait_for_triggers(make, 1)
-    monkeypatch.setattr(triggering._epoch, "_wall", lambda: time.time_ns() + 3_600_000_000)
+    monkeypatch.setattr(triggering._epoch, "_wall", lambda: time.time_ns() + step)
     triggering.check()
     level, text = make.state()
-    assert level == WARN and text.startswith("the system clock was set by +3.60")
+    assert level == WARN and text.startswith(f"the system clock was set by {shown}")
     assert text.endswith("restart after the trial to adopt the new time")
 
 

@@ -288,6 +288,17 @@ def test_scales_are_offered_and_chosen() -> None:
     assert tab.picture("#map").heatmap().trace["zmax"] == 50
 
 
+def test_another_value_begins_with_its_own_scale() -> None:
+    """The largest shear is 5 kPa; a scale that was chosen for the pressure is not that of shear."""
+    tab = opened()
+    show(tab, moment=hand_moment())
+    tab.choose("#scale", "0 to 400 kPa")
+    tab.choose("#kind", "shear")
+    assert tab.picture("#map").heatmap().trace["zmax"] == 5
+    tab.choose("#kind", "pressure")
+    assert tab.picture("#map").heatmap().trace["zmax"] == 50
+
+
 def test_shown_value_is_chosen() -> None:
     tab = opened({"area": {"values": [1.0, 2.0, 3.0, 4.0, 5.0], "unit": "mm²"}})
     show(tab, moment=hand_moment())

@@ -234,15 +234,17 @@ def test_a_place_is_one_of_three(case: str, tmp_path: Path) -> None:
     )
 
 
-def test_more_clusters_than_free_tiles_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("count", [6, 0], ids=["too many", "less than stay"])
+def test_more_clusters_than_free_tiles_are_refused(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of the 12 tiles, five are free and one of them has a cluster that stays."""
     monkeypatch.setattr(clusters, "_ExpectedError", lambda geometry: None)
     socket, allowed = scene.geometry(), np.arange(12) < 5
-    for count in (6, 0):
-        assert line(lambda n=count: clusters.place_clusters(socket, n, [2], allowed)) == (
-            f"{count} clusters, of which 1 stay, do not fit on 4 free tiles: place others, or keep"
-            " out of fewer regions"
-        )
+    assert line(lambda: clusters.place_clusters(socket, count, [2], allowed)) == (
+        f"{count} clusters, of which 1 stay, do not fit on 4 free tiles: place others, or keep"
+        " out of fewer regions"
+    )
 
 
 def test_proposed_clusters_have_names_and_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -727,15 +729,21 @@ def test_a_body_is_tracked_in_half_of_the_frames(tracked: int) -> None:
     )
 
 
-def test_a_body_with_few_markers_has_this_line() -> None:
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("Socket", "1 measured markers in the take (Socket:Marker1)"),
+        ("Pylon", "0 measured markers in the take (none)"),
+    ],
+    ids=["one", "none"],
+)
+def test_a_body_with_few_markers_has_this_line(name: str, shown: str) -> None:
     bodies = {"Socket": Pose(np.eye(3), np.zeros(3)), "Pylon": Pose(np.eye(3), np.zeros(3))}
-    for name, shown in (("Socket", "1 measured markers in the take (Socket:Marker1)"),
-                        ("Pylon", "0 measured markers in the take (none)")):  # fmt: skip
-        found = line(lambda n=name: registration._markers_of(take(bodies=bodies), n, "take.csv: a"))
-        assert found == (
-            f"take.csv: a: the rigid body '{name}' has {shown}: export its markers, or name 3 to 8"
-            " of them instead of 'rigid_body'"
-        )
+    found = line(lambda: registration._markers_of(take(bodies=bodies), name, "take.csv: a"))
+    assert found == (
+        f"take.csv: a: the rigid body '{name}' has {shown}: export its markers, or name 3 to 8"
+        " of them instead of 'rigid_body'"
+    )
 
 
 @pytest.mark.parametrize(

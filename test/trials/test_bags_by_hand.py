@@ -2,6 +2,7 @@
 
 import io
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import mcap.writer
@@ -82,12 +83,15 @@ def test_a_bag_never_writes_into_a_folder_that_exists(tmp_path: Path) -> None:
         assert found.counts["/lab/trigger"] == 1
 
 
-def test_messages_are_in_the_order_of_their_times(tmp_path: Path) -> None:
-    """Within a chunk, and over chunks that overlap."""
-    for name, times in (("a", (0.3, 0.1, 0.2)), ("b", (0.0, 5.0, 1.0, 6.0, 2.0))):
-        with BagReader(write(tmp_path / name, *times)) as found:
-            read = [raw.time - START for raw in found.messages()]
-        assert read == [round(second * 1e9) for second in sorted(times)]
+@pytest.mark.parametrize(
+    "times",
+    [(0.3, 0.1, 0.2), (0.0, 5.0, 1.0, 6.0, 2.0)],
+    ids=["within a chunk", "over chunks that overlap"],
+)
+def test_messages_are_in_the_order_of_their_times(times: Sequence[float], tmp_path: Path) -> None:
+    with BagReader(write(tmp_path / "a", *times)) as found:
+        read = [raw.time - START for raw in found.messages()]
+    assert read == [round(second * 1e9) for second in sorted(times)]
 
 
 def test_parts_of_bags_follow_their_numbers(tmp_path: Path) -> None:

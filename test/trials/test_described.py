@@ -64,7 +64,6 @@ def test_the_five_longest_gaps_are_listed_longest_first(samples: Samples) -> Non
 
 
 def test_drop_outs_are_counted_by_measurement(samples: Samples) -> None:
-    """`longest` is from the value before to the one after: 1.25 s to 0.5 s around the rows 3, 4."""
     table = description.drop_outs(samples, slice(4, 12))
     assert table.caption == "Samples of the trial without a measurement"
     frame = table.frame
@@ -73,18 +72,26 @@ def test_drop_outs_are_counted_by_measurement(samples: Samples) -> None:
         *("missing [1]", "missing [%]", "of them in the segment [1]", "longest [s]"),
         *("saturated [1]", "out of range [1]"),
     ]
-    nan = np.nan
-    for name, row in {
-        "Fx": (2, 100 / 6, 1, 0.75, nan, nan),
-        "limb position": (1, 100 / 12, 1, 0.25, nan, nan),
-        "a": (1, 100 / 12, 0, 0.25, 0, 0),
-        "b": (0, 0.0, 0, 0.0, 2, 1),
-        "Mx": (0, 0.0, 0, 0.0, nan, nan),
-    }.items():
-        np.testing.assert_allclose(frame.loc[name].to_numpy(float), row, err_msg=name)
     cells = dict(table.rows)
     assert cells["Fx"] == ("2", "16.67", "1", "0.75", *2 * ("\N{EN DASH}",))
     assert "of them in the segment [1]" not in description.drop_outs(samples).frame
+
+
+# Missing, as a share [%], in the segment; longest [s]; saturated and out of range, of clusters
+DROP_OUTS = {
+    "Fx": (2, 100 / 6, 1, 0.75, np.nan, np.nan),
+    "limb position": (1, 100 / 12, 1, 0.25, np.nan, np.nan),
+    "a": (1, 100 / 12, 0, 0.25, 0, 0),
+    "b": (0, 0.0, 0, 0.0, 2, 1),
+    "Mx": (0, 0.0, 0, 0.0, np.nan, np.nan),
+}
+
+
+@pytest.mark.parametrize("name", DROP_OUTS)
+def test_a_measurement_has_its_drop_outs(name: str, samples: Samples) -> None:
+    """`longest` is from the value before to the one after: 1.25 s to 0.5 s around the rows 3, 4."""
+    row = description.drop_outs(samples, slice(4, 12)).frame.loc[name]
+    np.testing.assert_allclose(row.to_numpy(float), DROP_OUTS[name])
 
 
 def test_the_longest_of_two_drop_outs_counts(samples: Samples) -> None:

@@ -204,13 +204,17 @@ def test_without_a_plateau_the_loaded_part_is_offered() -> None:
         segment.select_segment(samples(fz=0.0), "plateau", SETTINGS)
 
 
-def test_a_hold_is_under_the_placed_load() -> None:
+@pytest.mark.parametrize(
+    ("name", "start", "end"),
+    [("hold", 37.0, 59.75), ("auto", 37.0, 59.75), ("plateau", 0.0, 33.0)],
+    ids=["hold", "auto", "plateau"],
+)
+def test_a_hold_is_under_the_placed_load(name: str, start: float, end: float) -> None:
     """The plateau before the rise is longer, but without the load; `auto` takes the hold too."""
     held = samples(fz=step(-190.0, at=140, before=-90.0))
-    for name in ("hold", "auto"):
-        found = segment.select_segment(held, name, SETTINGS)
-        assert str(found) == "hold 37.00 s to 59.75 s", name
-    assert segment.select_segment(held, "plateau", SETTINGS).end == pytest.approx(33.0)
+    found = segment.select_segment(held, name, SETTINGS)
+    assert (found.start, found.end) == pytest.approx((start, end))
+    assert found.kind == ("plateau" if name == "plateau" else "hold")
 
 
 def test_auto_takes_the_loaded_part_without_a_hold() -> None:

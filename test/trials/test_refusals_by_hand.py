@@ -447,15 +447,16 @@ def trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Trial:
     return Trial(tmp_path)
 
 
-def test_missing_files_name_their_options(trial: Trial) -> None:
-    for name, found in (
-        ("socket.yaml", lambda: trial.geometry_path),
-        ("calibration.yaml", lambda: trial.calibration_path),
-    ):
-        assert line(found, TrialError) == (
-            f"{trial.path}: no {name} is stored in this trial: give the missing files with"
-            " --geometry and --calibration"
-        )
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [("socket.yaml", "geometry_path"), ("calibration.yaml", "calibration_path")],
+    ids=["socket", "calibration"],
+)
+def test_missing_files_name_their_options(name: str, path: str, trial: Trial) -> None:
+    assert line(lambda: getattr(trial, path), TrialError) == (
+        f"{trial.path}: no {name} is stored in this trial: give the missing files with"
+        " --geometry and --calibration"
+    )
 
 
 def test_a_part_of_a_trial_names_its_folder(trial: Trial) -> None:
