@@ -221,6 +221,29 @@ def test_seconds_since_1970(tmp_path: Path, title: str, first: str, second: str)
     np.testing.assert_allclose(found.series.times - NOON, [0, STEP], atol=300)
 
 
+@pytest.mark.parametrize(
+    ("title", "first", "second", "nanoseconds"),
+    [
+        (
+            *("stamp [ns]", "1714910400123456789", "1714910400133456781"),
+            [1_714_910_400_123_456_789, 1_714_910_400_133_456_781],
+        ),
+        (
+            *("stamp [us]", "1714910400123457", "1714910400133457"),
+            [1_714_910_400_123_457_000, 1_714_910_400_133_457_000],
+        ),
+    ],
+    ids=["ns", "us"],
+)
+def test_whole_stamps_keep_their_last_digit(
+    tmp_path: Path, title: str, first: str, second: str, nanoseconds: list[int]
+) -> None:
+    """As floats such stamps are 256 ns apart."""
+    text = with_times(title, first, second)
+    found = read_wrench_table(written(tmp_path / "cell.csv", text))
+    assert found.series.times.tolist() == nanoseconds
+
+
 def test_a_date_beside_a_time_of_day(tmp_path: Path) -> None:
     text = with_times("Date,Time", "2024-05-05,12:00:00.000", "2024-05-05,12:00:00.010")
     found = read_wrench_table(written(tmp_path / "cell.csv", text))
