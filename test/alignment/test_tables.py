@@ -286,6 +286,17 @@ def test_an_empty_cell_is_missing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.series.values[1], [0.4, 0.5, NAN, 4.5, NAN, -6.5])
 
 
+@pytest.mark.parametrize(
+    "word", ["nan", "NaN", "NAN", "-nan", "na", "NA", "n/a", "#N/A", "none", "NULL", "-", "--"]
+)
+@pytest.mark.parametrize("among", ["-6.5", "None "], ids=["numbers", "texts"])
+def test_a_word_for_nothing_is_missing(word: str, among: str, tmp_path: Path) -> None:
+    text = PLAIN.replace("5.5", word).replace("-6.5", among)
+    found = read_wrench_table(written(tmp_path / "cell.csv", text))
+    last = -6.5 if among == "-6.5" else NAN
+    np.testing.assert_array_equal(found.series.values[1], [0.4, 0.5, 0.6, 4.5, NAN, last])
+
+
 def test_a_first_line_cut_short_is_left_out(tmp_path: Path) -> None:
     path = written(tmp_path / "caps.txt", f"3,6.1\n{ROW}\n{ROW}\n")
     found = read_cluster_table(
