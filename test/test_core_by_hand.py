@@ -16,6 +16,7 @@ from msgspec import Meta
 from scipy.io import loadmat
 from support.wording import refused
 
+import socket_testbed
 from socket_testbed import clocks, documents, files, tables
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.tables import Table
@@ -436,3 +437,12 @@ def test_the_period_is_the_last_five_s_middle() -> None:
         now += step * 10**9
         found.append(period.add(now, number))
     assert found == pytest.approx([0, 0, 0, 5, 5, 5, 5, 5, 9])
+
+
+# --- the package
+
+
+def test_completion_offers_the_version_and_the_functions() -> None:
+    offered = dir(socket_testbed)
+    assert {"__version__", "open_trial", "pressure", "compare"} <= {*offered}
+    assert offered == sorted(offered) and hasattr(socket_testbed, offered[0])

@@ -134,6 +134,8 @@ WRONG = {
     "st.calibrate(None, 'distal')": "bench is None: give a path",
     "st.calibrate([], 'distal')": "no bench data is given: name its CSV files",
     "st.calibrate('b.csv', 3)": "cluster holds 3: give texts",
+    "st.calibrate('b.csv', 'distal', baseline=3)": "baseline is 3: give a path",
+    "st.calibrate('b.csv', 'distal', geometry=3)": "the file is 3: give a path",
     "st.calibrate('b.csv', 'distal', wiring=3)": "--wiring is 3: give each of 0, 1, 2, 3 once",
     "st.calibrate('b.csv', 'distal', columns=['a'])": "columns is a list of 1, not a mapping: give",
     "st.tile(None)": "the file is None: give a path",

@@ -102,6 +102,13 @@ def test_the_load_behind_the_source() -> None:
     assert str(Delay(0.02, 0.019, 0.0224, 0.9)) == "20.0 ms (19.0 to 22.4 ms)"
 
 
+def test_delays_in_a_row_add_up() -> None:
+    """100 ms more, with an interval as wide as before."""
+    found = Delay(0.02, 0.01, 0.04, 0.9).later(0.1)
+    assert (found.delay, found.low, found.high) == pytest.approx((0.12, 0.11, 0.14))
+    assert found.agreement == 0.9
+
+
 def unrelated() -> PoseSeries:
     own = pose()
     noise = np.random.default_rng(4).normal(0.0, 1e-3, own.positions.shape)

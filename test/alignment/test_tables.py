@@ -221,6 +221,29 @@ def test_seconds_since_1970(tmp_path: Path, title: str, first: str, second: str)
     np.testing.assert_allclose(found.series.times - NOON, [0, STEP], atol=300)
 
 
+@pytest.mark.parametrize(
+    ("title", "first", "second", "nanoseconds"),
+    [
+        (
+            *("stamp [ns]", "1714910400123456789", "1714910400133456781"),
+            [1_714_910_400_123_456_789, 1_714_910_400_133_456_781],
+        ),
+        (
+            *("stamp [us]", "1714910400123457", "1714910400133457"),
+            [1_714_910_400_123_457_000, 1_714_910_400_133_457_000],
+        ),
+    ],
+    ids=["ns", "us"],
+)
+def test_whole_stamps_keep_their_last_digit(
+    tmp_path: Path, title: str, first: str, second: str, nanoseconds: list[int]
+) -> None:
+    """As floats such stamps are 256 ns apart."""
+    text = with_times(title, first, second)
+    found = read_wrench_table(written(tmp_path / "cell.csv", text))
+    assert found.series.times.tolist() == nanoseconds
+
+
 def test_a_date_beside_a_time_of_day(tmp_path: Path) -> None:
     text = with_times("Date,Time", "2024-05-05,12:00:00.000", "2024-05-05,12:00:00.010")
     found = read_wrench_table(written(tmp_path / "cell.csv", text))
@@ -261,6 +284,17 @@ def test_an_empty_cell_is_missing(tmp_path: Path) -> None:
     text = PLAIN.replace("5.5", "").replace("0.6", "NaN")
     found = read_wrench_table(written(tmp_path / "cell.csv", text))
     np.testing.assert_array_equal(found.series.values[1], [0.4, 0.5, NAN, 4.5, NAN, -6.5])
+
+
+@pytest.mark.parametrize(
+    "word", ["nan", "NaN", "NAN", "-nan", "na", "NA", "n/a", "#N/A", "none", "NULL", "-", "--"]
+)
+@pytest.mark.parametrize("among", ["-6.5", "None "], ids=["numbers", "texts"])
+def test_a_word_for_nothing_is_missing(word: str, among: str, tmp_path: Path) -> None:
+    text = PLAIN.replace("5.5", word).replace("-6.5", among)
+    found = read_wrench_table(written(tmp_path / "cell.csv", text))
+    last = -6.5 if among == "-6.5" else NAN
+    np.testing.assert_array_equal(found.series.values[1], [0.4, 0.5, 0.6, 4.5, NAN, last])
 
 
 def test_a_first_line_cut_short_is_left_out(tmp_path: Path) -> None:

@@ -116,6 +116,16 @@ FILES = {
         "bench.csv: 'c2 [pF]' is 100.5 pF in line 3, outside 0.01 to 100 pF: check the value, its"
         " sign and its unit; --units c2=UNIT names another",
     ),
+    "shear below": (
+        table(cell=(1, 3, "-1001")),
+        "bench.csv: 'shear_y [kPa]' is -1001 kPa in line 3, outside -1000 to 1000 kPa: check the"
+        " value, its sign and its unit; --units shear_y=UNIT names another",
+    ),
+    "shear above": (
+        table(cell=(1, 2, "1001")),
+        "bench.csv: 'shear_x [kPa]' is 1001 kPa in line 3, outside -1000 to 1000 kPa: check the"
+        " value, its sign and its unit; --units shear_x=UNIT names another",
+    ),
     "constant input": (
         re.sub(r",[\d.]+\n", ",8.5\n", table()),
         "bench.csv: 'c3 [pF]' is 8.5 pF in every row: check the wire of this input, or name its"

@@ -28,7 +28,7 @@ from socket_testbed.nodes import estimator_node, recorder_node
 from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials import events, raw_check
-from socket_testbed.wire.topics import PUBLISHER_DEPTH, TOPICS, Topic
+from socket_testbed.wire.topics import PUBLISHER_DEPTH, TOPICS, Service, Topic
 
 DOCS = CHECKOUT / "docs"
 PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *DOCS.glob("*.md")]
@@ -91,6 +91,13 @@ def test_the_conventions_name_every_topic(topic: Topic) -> None:
     conventions = (DOCS / "conventions.md").read_text()
     package, _, name = topic.type.split("/")
     assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", conventions)
+
+
+def test_the_conventions_name_every_service() -> None:
+    conventions = (DOCS / "conventions.md").read_text()
+    rows = conventions.partition("| service | type | effect |")[2].partition("\n\n")[0]
+    named = re.findall(r"^\| `(\S+)` \| std_srvs/", rows, flags=re.MULTILINE)
+    assert sorted(named) == sorted(Service)
 
 
 def test_the_example_of_other_sensors_is_read(tmp_path: Path) -> None:

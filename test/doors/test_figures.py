@@ -172,6 +172,26 @@ def test_the_wall_names_its_sides(drawn: Draw) -> None:
     assert low < 0.0 and high > 140.0
 
 
+def test_a_tile_on_the_wall_is_printed_square(drawn: Draw) -> None:
+    """At 50 mm from the axis a degree is 0.8727 mm wide."""
+    wall, end = panels(drawn("pressure_map"), MEAN)
+    assert wall.get_aspect() == pytest.approx(1.0 / 0.872665, rel=1e-4)
+    assert end.get_aspect() == 1.0
+
+
+def test_type_is_printed_at_its_size(drawn: Draw) -> None:
+    """Labels and headings at 8 points, numbers and keys at 7."""
+    figure = drawn("pressure_map")
+    wall, _ = panels(figure, MEAN)
+    first = course_panel(drawn, "sectors")
+    assert {axis.yaxis.label.get_size() for axis in (wall, first)} == {8.0}
+    assert {text.get_size() for text in (*wall.get_xticklabels(), *first.get_yticklabels())} == {
+        7.0
+    }
+    key = first.get_legend()
+    assert key.get_title().get_size() == 8.0 and {text.get_size() for text in key.texts} == {7.0}
+
+
 def test_the_end_is_the_right_way_up(drawn: Draw) -> None:
     _, end = panels(drawn("pressure_map"), MEAN)
     assert end.get_xlim()[0] < -30.0 < 30.0 < end.get_xlim()[1]
@@ -375,6 +395,38 @@ def test_stiffnesses_have_their_scales(drawn: Draw) -> None:
     assert figure.get_suptitle() == "scene: Stiffness of every tile, model stiffness_bias"
     wall, _ = panels(figure, "k along y of {S}")
     assert fill_at(wall, "left_mid") == pytest.approx(colormaps["viridis"](0.5)[:3], abs=0.01)
+
+
+HEADINGS = {
+    "wrench": "Measured and predicted wrench, all 0.00 s to 11.75 s",
+    "local_forces": "Measured and predicted forces in the clusters' frames, all 0.00 s to 11.75 s",
+    "validation": "Validation",
+    "pareto": "Trade-off, all 0.00 s to 11.75 s",
+    "tile_stiffness_rigid_bias": "Stiffness of every tile, model rigid_bias",
+    "rest_positions": "Rest positions, the same for the paper's variants",
+    "rest_positions_rigid_bias": "Rest positions, model rigid_bias",
+}
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_a_figure_of_the_report_has_its_heading(name: str, drawn: Draw) -> None:
+    assert drawn(name).get_suptitle().replace("\n", " ") == f"scene: {HEADINGS[name]}"
+
+
+CAPTIONS = {
+    "tile_stiffness_stiffness": "Stiffness of every tile, model stiffness, along the axes of {S};",
+    "rest_positions": "Rest positions, the same for the paper's variants, along the axes of {S};",
+    "rest_positions_rigid_bias": (
+        "Rest positions, model rigid_bias, along the axes of the tile's frame;"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAPTIONS)
+def test_a_map_of_tiles_has_its_caption(name: str, report) -> None:
+    sections = [make(report.results) for makers in SECTIONS.values() for make in makers]
+    (found,) = [own for section in sections for own in section.figures if own.name == name]
+    assert found.caption.startswith(f"{CAPTIONS[name]} the wall is unrolled and seen from outside")
 
 
 def test_a_map_of_tiles_outlines_clusters(drawn: Draw) -> None:

@@ -14,7 +14,7 @@ from support.verbs import refused as refused_verb
 from support.wording import refused
 
 import socket_testbed as st
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import CalibrationError, ConfigurationError, TrialError
 from socket_testbed.files import packaged
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import Measurements
@@ -501,6 +501,12 @@ REFUSED: dict[str, tuple[Any, ...]] = {
         {},
         TrialError,
         ("has 8 values, and 0 clusters are named", "--names"),
+    ),
+    "not calibrated": (
+        {FT: stamped_wrench(), CLUSTERS: numbers()},
+        {"names": ["heel", "distal"]},
+        CalibrationError,
+        (f"the calibration has no cluster heel of the topic {CLUSTERS} (it has ",),
     ),
     "unknown source": (
         {FT: stamped_wrench()},

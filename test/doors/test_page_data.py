@@ -4,6 +4,7 @@ This is what `view TRIAL` sends to a browser: the socket, the course, a moment, 
 Pressures are 1.5 times the means. The scripts that draw it are tested beside it.
 """
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -116,6 +117,23 @@ def test_the_surface_has_a_tile_s_value_there(name: str) -> None:
     np.testing.assert_allclose(patch.weights.sum(axis=-1), 1.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "tile"), [("wall", "ant_mid"), ("wall", "left_prox"), ("end", "ant_end")]
+)
+def test_the_page_s_weights_give_a_tile_s_value(name: str, tile: str) -> None:
+    """As `socket.js` reads them: 16-bit integers of 1 / 8192, a row of tiles for each point."""
+    found = document.socket_document(scene.geometry())["patches"]
+    patch = next(each for each in found if each["name"] == name)
+    stored = np.frombuffer(base64.b64decode(patch["weights"]), "<i2")
+    weights = stored.reshape(len(patch["y"]), len(patch["x"]), 12) / 8192.0
+    assert patch["unit"] == 1.0 / 8192.0
+    x, y = PLACES_OF[tile]
+    at = np.abs(np.array(patch["y"]) - y).argmin(), np.abs(np.array(patch["x"]) - x).argmin()
+    pressure = np.array([own[0] for own in scene.STRESS.values()])
+    assert weights[at].sum() == pytest.approx(1.0, abs=1e-3)
+    assert weights[at] @ pressure == pytest.approx(scene.STRESS[tile][0], abs=2.5)
+
+
 PLACES_OF = {
     "ant_mid": (0.0, 60.0),
     "left_prox": (90.0, 120.0),
@@ -181,6 +199,16 @@ def test_the_course_marks_its_events(start: dict[str, Any]) -> None:
     assert [event["label"] for event in events] == ["placed", "removed"]
     times = [event["time"] for event in events]
     assert times == pytest.approx([6.0, 18.0], abs=1.0)
+
+
+def test_a_course_has_its_digits() -> None:
+    """Milliseconds, tenths of a newton, and pascals as kPa; None where unknown."""
+    peak = document.Quantity(*(np.array([value, np.nan]) for value in (1234.56, 1034.4, 1434.6, 1)))
+    found = document.course(np.array([0.12345, 1.0]), np.array([90.449, np.nan]), peak, [])
+    assert found == {
+        **{"time": [0.123, 1.0], "force": [90.4, None], "events": []},
+        **{"peak": [1.23, None], "low": [1.03, None], "high": [1.43, None]},
+    }
 
 
 def test_many_events_of_a_label_are_not_marked() -> None:

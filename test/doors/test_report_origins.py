@@ -1,11 +1,13 @@
 """Where the report says that its files come from, and which tile it says has the peak."""
 
 import hashlib
+import platform
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from support import scene
 from support.pages import MADE
 from support.results_by_hand import tile
@@ -51,6 +53,14 @@ def test_what_replaces_measurements_is_named(report, scene_folder: Path) -> None
     assert rows["load cell"] == "recorded" and rows["trial"] == "scene"
     assert rows["geometry, source"] == "a scene made by hand"
     assert rows["report made"] == "2026-02-03 04:05:06 UTC"
+
+
+def test_versions_are_those_that_computed(report) -> None:
+    rows = dict(quality.provenance(report.results, "by hand", MADE))
+    assert rows["version of socket_testbed"] == st.__version__
+    assert rows["version of numpy"] == np.__version__
+    assert rows["version of scipy"] == scipy.__version__
+    assert rows["Python"].startswith(f"{platform.python_version()} on ")
 
 
 class _Moving(scene.HandMap):

@@ -3,6 +3,7 @@
 Cycles, bench data and the model are by hand; `evaluate` judges the constants of `scene.model`.
 """
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -258,6 +259,11 @@ def test_a_saved_fit_names_its_trial(fitted: TrialFit, trial: Trial, tmp_path: P
         assert found.fingerprint == trial.fingerprint
         rmse = [1.1180, 1.5, 0.21213, 7.0711, 7.0711, 45.2769]
         assert found.wrench_rmse == pytest.approx(rmse, rel=1e-4)
+    identity = json.loads((tmp_path / "model.json").read_text())["trial"]
+    assert identity["name"] == "scene" and identity["fingerprint"] == trial.fingerprint
+    stamps = identity["first_stamp"], identity["last_stamp"]
+    assert stamps == (1_800_000_000_000_000_000, 1_800_000_023_750_000_000)
+    assert identity["samples"] == 96
 
 
 def test_a_fit_is_shown_in_one_line(fitted: TrialFit) -> None:

@@ -252,6 +252,10 @@ def test_the_page_shows_maps_beside_each_other(found: Survey, tmp_path: Path) ->
     titles = ("a own", "a completed", "b own", "b completed", "limb")
     assert [title for title in titles if title not in page.text] == []
     assert page.rows("scores")["all"] == ["6", "0.21", "0.46", "7", "67", "83", "83"]
+    assert page.said["h2"] == [
+        *("Verdict", "Notes", "Own and completed maps", "Judged"),
+        *("Numbers", "Judged places", "Tile by tile", "Data", "Trials", "Provenance"),
+    ]
     assert page.rows("trials-table")["b"] == ["all; one on post_mid"]
     assert page.rows("provenance-table")["command"] == ["by hand"]
 

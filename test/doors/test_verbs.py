@@ -424,6 +424,28 @@ def conclusion() -> demo._Conclusion:
     return made
 
 
+def test_the_demo_compares_means_over_the_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two samples with half and 1.5 times the forces; the live map is 3 kPa too high."""
+    given: Any = SimpleNamespace(
+        geometry=scene.geometry(), select=lambda *_: SimpleNamespace(rows=slice(0, 49, 48))
+    )
+    local = scene.forces_in_tiles(scene.STAMPS)
+    truth: Any = SimpleNamespace(
+        forces=np.einsum("nij,knj->kni", scene.geometry().rotations, local)
+    )
+    pressures = 1e3 * scene.FACTOR[:, None] * [own[0] for own in scene.STRESS.values()]
+    live = np.stack([pressures + 3e3, np.full_like(pressures, 1e3)])
+    judged = ("distal", np.array([13e3, 15e3]), np.array([20e3, 21e3]), np.array([2e3, 2e3]))
+    monkeypatch.setattr(demo, "left_out_pressures", lambda *_: iter([judged]))
+    samples: Any = np.arange(len(scene.TIME))
+    found = demo._Conclusion(given, samples, truth, live)
+    tile = scene.TILES.index("ant_mid")
+    assert (found._truth[tile], found._estimate[tile]) == pytest.approx((40.0, 43.0))
+    assert found._error == pytest.approx([3.0] * 12)
+    assert found._reach == pytest.approx([1.96] * 12, rel=1e-4)
+    assert found._left_out == pytest.approx(np.array([[14.0, 20.5, 3.92]]), abs=1e-3)
+
+
 def test_the_demo_concludes_in_kilopascals(conclusion: demo._Conclusion) -> None:
     """The highest estimate between the clusters is the 17 kPa on `post_prox`, before 16 kPa."""
     assert conclusion.sentences()[:4] == [

@@ -99,6 +99,15 @@ def test_labels_in_any_order_are_put_right(rng, size: int, hidden: int):
         np.testing.assert_array_equal(observed[k, fit.order[k][used]], truth[k][used])
 
 
+def test_exchanged_labels_are_learnt_from_the_fullest_frame(rng) -> None:
+    """The first frame lacks a marker; its order alone would leave out that of the second."""
+    body, pose = body_of(5), random_pose(rng, count=2)
+    observed = observe(body, pose, rng)[:, [2, 0, 1, 4, 3]]
+    observed[0, 3] = np.nan  # which is the body's last marker
+    fit = fit_body(body, observed)
+    assert fit.order.tolist() == [[1, 2, 0, 4, -1], [1, 2, 0, 4, 3]]
+
+
 @EVERY_SIZE
 def test_a_false_marker_is_not_used(rng, size: int):
     body, pose = body_of(size), random_pose(rng, count=COUNT)

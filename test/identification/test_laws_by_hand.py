@@ -453,6 +453,19 @@ def test_the_mean_map_is_of_its_samples() -> None:
     assert mean.source == each.source == whole.source(samples)
 
 
+def test_unmeasured_shear_has_both_tangential_deviations() -> None:
+    """Of mean zero, its mean square is the sum of both variances; `ant_mid` faces along -x."""
+    samples = scene_samples()[:1]
+    samples.wrench[:], samples.status[:] = NAN, Status.MISSING
+    found = ForceMap(SOCKET, CLUSTERS, ForceMapSettings(draws=1)).estimate(samples)
+    tile = SOCKET.names.index("ant_mid")
+    x, y, z = found.standard_deviations[0, tile]
+    area = 9e-4  # [m^2]
+    assert found.shear[0, tile] == pytest.approx(0.0, abs=1e-6)
+    assert found.shear_standard_deviation[0, tile] == pytest.approx(np.hypot(y, z) / area)
+    assert found.normal_pressure_standard_deviation[0, tile] == pytest.approx(x / area)
+
+
 def test_the_source_names_what_is_measured() -> None:
     samples = scene_samples()[:2]
     whole = ForceMap(SOCKET, CLUSTERS, ForceMapSettings(draws=1))

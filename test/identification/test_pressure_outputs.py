@@ -5,6 +5,8 @@ trial on disk. Its regions are `anterior` (tiles ant_*), `lateral` (right_*) and
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -419,3 +421,14 @@ def test_an_interval_of_a_centre_is_by_axis() -> None:
 def test_without_known_draws_ends_are_unknown() -> None:
     made = READER.interval("share", np.array([np.nan]), np.full((41, 1), np.nan))
     assert np.isnan([made.value, made.low, made.high]).all()
+
+
+def test_the_highest_row_is_that_of_the_pressure() -> None:
+    """18 N on 9 cm^2 are 20 kPa, before 24 N on 16 cm^2, 15 kPa, and a pull of 90 N."""
+    forces = np.zeros((3, 12, 3))
+    forces[0, scene.TILES.index("ant_mid"), 2] = 90.0
+    forces[1, scene.TILES.index("post_mid"), 2] = -18.0
+    forces[2, scene.TILES.index("left_prox"), 2] = -24.0
+    drawn = SimpleNamespace(rows=np.arange(3), mean=lambda: forces.reshape(3, 36))
+    force_map: Any = SimpleNamespace(sample=lambda samples, count: iter([drawn]))
+    assert pressure.highest_row(force_map, scene_samples()[:3], GEOMETRY) == 1

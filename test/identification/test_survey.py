@@ -213,6 +213,23 @@ def test_like_loads_are_found_by_their_wrench() -> None:
     np.testing.assert_allclose(mismatch, [0.05, 0.025])
 
 
+@pytest.mark.parametrize(
+    ("counts", "rows"),
+    [((3, 5), [[0, 1, 2], [0, 1, 2]]), ((5, 3), [[0, 1, 2], [0, 1, 2]])],
+    ids=["longer second", "longer first"],
+)
+def test_states_are_spread_over_the_first_trial(
+    counts: tuple[int, int], rows: list[list[int]]
+) -> None:
+    """-100, -200, ... N; loads of -400 and -500 N are in one of the trials alone."""
+    wrenches = []
+    for count in counts:
+        wrench = np.zeros((count, 6))
+        wrench[:, 5] = -100.0 * np.arange(1, count + 1)
+        wrenches.append(wrench)
+    np.testing.assert_array_equal(match_loads(wrenches, 0.1)[0], rows)
+
+
 def test_unlike_loads_are_refused() -> None:
     first, second = np.zeros((2, 1, 6))
     first[0, 5], second[0, 5] = -200.0, -300.0

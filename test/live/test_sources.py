@@ -163,6 +163,17 @@ def test_the_value_at_a_trigger_is_that_moment_s() -> None:
     assert value is not None and value.values[0, 5] == pytest.approx(-100.0 - 150 - 2)
 
 
+def test_a_late_reading_is_waited_for() -> None:
+    """10 ms of the window, 50 ms of the longest gap and the wait of 300 ms after the trigger."""
+    times = every(100.0, 1.0)
+    source, trigger = source_of("wrench", window=0.02, stale=0.05), times[-1] + SECOND // 20
+    source.receive(messages("wrench", times, times))
+    source.trigger(trigger)
+    assert source.due(trigger + round(0.355e9), PERIOD, 0.3) == []
+    ((stamp, _),) = source.due(trigger + round(0.365e9), PERIOD, 0.3)
+    assert stamp == trigger
+
+
 def test_a_source_that_stops_is_missing_after_the_wait() -> None:
     times = every(100.0, 2.0)
     triggers = every(4.0, 3.0, START + SECOND // 2)
@@ -503,6 +514,31 @@ def test_sources_are_judged_by_the_triggers_heard(hertz: float, hint: str) -> No
         triggers_of("wrench", hertz), HeardSource(source, SOURCES["wrench"][1], ended=times[-1])
     )
     assert outcome.hint.startswith(hint) and bool(outcome.hint) == bool(hint)
+
+
+FRAMES: dict[str, tuple[str, dict[str, Any], str]] = {
+    "as it is": ("wrench", {}, ", frame ft, taken as {S}"),
+    "moved": ("wrench", {"translation": (0.0, 0.0, 0.1)}, ", frame ft, brought into {S}"),
+    "turned": (
+        "wrench",
+        {"rotation": (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)},
+        ", frame ft, brought into {S}",
+    ),
+    "pose": ("pose", {}, ", frame world"),
+    "clusters": ("numbers", {}, ""),
+}
+
+
+@pytest.mark.parametrize("case", FRAMES)
+def test_doctor_states_the_frame_of_a_source(case: str) -> None:
+    kind, settings, frame = FRAMES[case]
+    source, times = source_of(kind, **settings), every(10.0, 2.0)
+    source.receive(messages(kind, times, times))
+    heard = HeardSource(source, SOURCES[kind][1], ended=times[-1])
+    _, outcome = judged(triggers_of("wrench", 4.0), heard)
+    assert outcome.found.startswith(f"/x: {SOURCES[kind][1]}, 10 Hz{frame}, ")
+    rest = outcome.found.partition(f"10 Hz{frame}, ")[2]
+    assert rest.startswith(("0.0 ms from stamp", "without stamps"))
 
 
 # --- settings

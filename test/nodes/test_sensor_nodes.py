@@ -709,6 +709,33 @@ def test_a_lost_chip_is_opened_again(wired: Any, make: Maker) -> None:
     assert numbers == sorted(set(numbers)) and wired.node.figures()["unseen"] == 1
 
 
+@pytest.mark.parametrize(
+    ("is_open", "waits"), [(False, [2.5]), (True, [])], ids=["chip away", "pulse lost"]
+)
+def test_a_chip_that_is_away_is_opened_after_a_pause(
+    is_open: bool, waits: list[float], clock: FakeClock
+) -> None:
+    """A pulse that only got lost is followed by the next one at once."""
+
+    def fail() -> Any:
+        raise DeviceError("no chip", "plug it in")
+
+    found: list[float] = []
+    trigger = SimpleNamespace(fire=fail, end_pulse=lambda: None) if is_open else None
+    own: Any = SimpleNamespace(
+        _sequence=0,
+        _unseen=0,
+        _lost="",
+        _trigger=trigger,
+        _opened=lambda: trigger or fail(),
+        _fault=SimpleNamespace(note=lambda text: None),
+        _reopening=SimpleNamespace(failed=lambda now: 2.5),
+        _stopping=SimpleNamespace(wait=found.append),
+    )
+    trigger_node.TriggerNode._fire(own)
+    assert found == waits and own._unseen == is_open
+
+
 def test_a_chip_that_was_away_costs_no_pulse(wired: Any, make: Maker) -> None:
     """It vanished and returned between two pulses."""
     wait_for_triggers(make, 2)

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import socket
 import struct
 import threading
@@ -87,6 +88,17 @@ def test_the_page_loads_nothing_from_elsewhere(server: PageServer) -> None:
     policy = headers["Content-Security-Policy"]
     assert "default-src 'self'" in policy and "frame-ancestors 'none'" in policy
     assert "*" not in policy and b"http" not in text
+
+
+def test_all_that_the_page_loads_is_served(server: PageServer) -> None:
+    page = answer(server)[2].decode()
+    loaded = re.findall(r'<(?:script src|link rel="stylesheet" href)="([^"]+)"', page)
+    assert loaded == ["page.css", "plotly.js", "socket.js", "live.js"]
+    kinds = {"css": "text/css", "js": "text/javascript"}
+    for name in loaded:
+        status, headers, text = answer(server, f"/{name}")
+        assert status == 200 and text
+        assert headers["Content-Type"].startswith(kinds[name.rpartition(".")[2]])
 
 
 def test_the_page_s_script_is_served(server: PageServer) -> None:

@@ -3,7 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, get_type_hints
 
 import pytest
@@ -89,6 +89,64 @@ def test_an_option_has_its_parameter(function: Callable[..., Any]) -> None:
 def test_keywords_have_the_types_of_options(function: Callable[..., Any]) -> None:
     keywords, declared = get_type_hints(CHOICES[function]), get_type_hints(TAKEN[function])
     assert keywords.items() <= declared.items()
+
+
+METAVARS = {
+    **{"jobs": {"N"}, "dask": {"ADDRESS"}, "record": {"DIR"}, "model": {"MODEL"}},
+    **{"tare": {"T0:T1", "T0:T1|none|recorded"}, "unloaded": {"T0:T1"}, "tap": {"T0:T1"}},
+    **{"segment": {"plateau|hold|auto|all|T0:T1|event:A:B"}, "cycles": {"LABEL"}},
+    **{"columns": {"QUANTITY=HEADER", "WHAT=TITLE"}, "units": {"QUANTITY=UNIT", "WHAT=UNIT"}},
+    **{"wrench": {"TOPIC"}, "socket_pose": {"TOPIC"}, "pylon_pose": {"TOPIC"}},
+    **{"trigger": {"TOPIC"}, "clusters": {"N", "TOPIC"}},  # of 'tile', of 'import'
+    **{"offset": {"SOURCE=S"}, "delay": {"SOURCE=S"}, "row_rate": {"SOURCE=HZ"}},
+    **{"fault": {"NAME=VALUE"}, "condition": {"NAME=TRIAL,..."}, "points": {"'X Y Z'"}},
+    **{"donning": {"SEED"}, "wiring": {"C"}, "leave_out": {"CHANNEL"}, "like": {"TRIAL"}},
+    **{"prior": {"SURVEY"}, "initial_stiffness": {"K0|auto"}},
+}
+CALLS = [
+    kind
+    for kind in vars(calls).values()
+    if isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == calls.__name__
+]
+
+
+def test_the_help_shows_what_an_option_takes() -> None:
+    """Without an own word it shows the unit, or the name."""
+    found: dict[str, set[str]] = {}
+    for item in (item for kind in CALLS for item in fields(kind)):
+        if word := item.metadata.get("metavar"):
+            found.setdefault(item.name, set()).add(word)
+    assert found == METAVARS
+
+
+TRIAL, FOLDER = "folder of the trial", "folder of the trial, or a folder of trials"
+ARGUMENTS = {
+    **dict.fromkeys(("Info", "Replay", "Export", "Map", "Pareto", "Paper"), TRIAL),
+    **dict.fromkeys(("Report", "Pressure", "Fit", "Evaluate"), FOLDER),
+    "Annotate": "folders of one or more trials",
+    "Compare": "two or more trials; a folder of trials stands for all of them",
+    "Survey": (
+        "two or more trials of one limb in one socket; a folder of trials stands for all of them"
+    ),
+    "Validate": "trials, or folders of trials, of one socket",
+    "View": "folder of a trial to play; without one the running testbed is shown",
+    "Record": "folder of the new trial",
+    "Mark": "label of the event, such as push",
+    "Import": "folder or storage file of a bag, or tables",
+    "Register": "the take, exported from Motive as CSV",
+    "Calibrate": "CSV files of bench data, see docs/calibration.md",
+    "Tile": "STL, PLY or OBJ file",
+}
+
+
+def test_the_help_says_what_a_verb_is_called_with() -> None:
+    found = {
+        kind.__name__: item.metadata["text"]
+        for kind in CALLS
+        for item in fields(kind)
+        if item.metadata.get("positional") and not kind.__name__.endswith("Options")
+    }
+    assert found == ARGUMENTS
 
 
 def test_a_tiling_has_the_defaults_of_its_verb() -> None:

@@ -500,6 +500,19 @@ def test_the_oldest_states_stay_linear_once_passed(world: World) -> None:
     assert world.capacitance(0, 0, 208.5) == pytest.approx(8.5)
 
 
+@pytest.mark.parametrize(
+    "counts",
+    [[5, 5, 6, 6], [5, 4, 6, 6, 6], [4, 6, 6, 6]],
+    ids=["being changed", "odd, then even", "changed meanwhile"],
+)
+def test_a_half_written_state_is_not_read(counts: list[int], world: World) -> None:
+    """The count of changes is odd while another process writes, and grows with each write."""
+    left = [*counts]
+    world._changes = type("Counts", (), {"__getitem__": lambda self, _: left.pop(0)})()
+    world.wrench(100.5)
+    assert not left
+
+
 def test_another_process_reads_the_world(world: World, tmp_path: Path) -> None:
     world.faults.switch("clock.step", 2.0)
     world.port = 4711

@@ -19,6 +19,7 @@ from socket_testbed.socket_design.design import place_by_landmarks, place_by_poi
 from socket_testbed.socket_design.squares import (
     Squares,
     Surroundings,
+    overlapping,
     rim_points,
     spread_points,
     squares_at,
@@ -54,6 +55,22 @@ def bare_wall() -> tuple[Squares, Surroundings]:
     centres, points = spread_points(WALL, 0.001, rng), spread_points(WALL, 0.0025, rng)
     surroundings = Surroundings(points, rim_points(WALL, 0.0005), Z, X)
     return squares_at(centres, surroundings, 0.03), surroundings
+
+
+def test_overlaps_are_found_beyond_a_block() -> None:
+    """Squares on a space diagonal, corner to corner: 26 mm apart, in one block, then 42 mm.
+
+    Squares of 30 mm overlap along their diagonal up to 42.4 mm.
+    """
+    along, normal = np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0), np.array([1.0, -1.0, 0.0])
+    normal /= np.sqrt(2.0)
+    across = np.cross(normal, along)
+    x = (along + across) / np.sqrt(2.0)
+    frame = np.column_stack([x, np.cross(normal, x), normal])
+    anchors = np.outer([0.0, 0.026, 0.026 + 0.042], along)
+    squares = Squares(anchors, np.tile(frame, (3, 1, 1)), 0.03)
+    found = overlapping(squares, np.arange(3), 0.0)
+    assert [sorted(others.tolist()) for others in found] == [[0, 1], [0, 1, 2], [1, 2]]
 
 
 def lay(*places: clusters.ClusterPlace) -> tuple[Squares, list[clusters.LaidCluster]]:

@@ -53,6 +53,7 @@ def test_a_bag_s_duration_is_from_first_to_last(tmp_path: Path) -> None:
 def test_other_programs_read_a_bag(tmp_path: Path) -> None:
     """What metadata.yaml states, and the checksums of the chunks and of the index."""
     folder = write(tmp_path / "a", 0.5, 1.0, 3.25)
+    assert {file.name for file in folder.iterdir()} == {"a.mcap", "metadata.yaml"}
     with rosbags.rosbag2.Reader(folder) as found:
         assert (found.message_count, found.start_time - START) == (3, SECOND // 2)
         assert found.duration == 2.75 * SECOND + 1
