@@ -111,7 +111,12 @@ class PageServer(ThreadingHTTPServer):
         return ""
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Report an error of a request, unless the browser has gone, as with a closed tab."""
+        """Report an error of a request, unless the browser has gone, as with a closed tab.
+
+        Args:
+            request: The socket of the connection.
+            client_address: Address and port of the browser.
+        """
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
