@@ -110,9 +110,8 @@ def read_measurements(
         notify: Called with one line on missing poses, on messages that cannot be decoded, on
             impossible values, and on stamps that are far off, jump back or occur more than once in
             a topic.
-        more: Topics to read in addition, of LOAD_CELL_RAW (fills `ratios`, `tares` and
-            `tared`) and MARKERS
-            (fills `markers`).
+        more: Topics to read in addition, of LOAD_CELL_RAW (fills `ratios`, `tares` and `tared`) and
+            MARKERS (fills `markers`).
 
     Raises:
         TrialError: If the bag cannot be read, or lacks a required topic other than a pose or one of
@@ -146,10 +145,11 @@ def read_measurements(
     for topic, width in _WIDTHS.items():
         nothing = [np.empty(0, dtype=np.int64), np.empty((0, width))]
         (tables[topic],) = _rows(series.pop((topic, topic.name), nothing), stamps)
-    raw: _Columns = [np.empty((0, 12)), np.empty((0, 1), dtype=np.int64)]
+    raw: _Columns = [np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 1), dtype=np.int64)]
     if topics.LOAD_CELL_RAW in more:
         key = topics.LOAD_CELL_RAW, topics.LOAD_CELL_RAW.name
         raw = _rows(series.pop(key, [np.empty(0, dtype=np.int64), *raw]), stamps)
+    ratios, tares, tared = raw
     for topic, values in tables.items():
         impossible = (values > _MAX_VALUE) | (values < -_MAX_VALUE)
         if impossible.any():
@@ -166,9 +166,9 @@ def read_measurements(
         clusters=clusters,
         capacitance=capacitance,
         status=status,
-        ratios=raw[0][:, :6],
-        tares=raw[0][:, 6:],
-        tared=raw[1][:, 0],
+        ratios=ratios,
+        tares=tares,
+        tared=tared[:, 0],
         markers={
             name: _rows(own, stamps)[0].reshape(-1, MAX_MARKERS, 3)
             for (topic, name), own in series.items()
@@ -216,7 +216,7 @@ def _columns(topic: topics.Topic, values: Any) -> Iterator[tuple[str, _Columns]]
         for number, name in enumerate(values.names):
             yield name, [values.capacitance[:, number], values.status[:, number]]
     elif topic is topics.LOAD_CELL_RAW:
-        yield topic.name, [np.hstack([values.ratios, values.tare]), values.tared[:, np.newaxis]]
+        yield topic.name, [values.ratios, values.tare, values.tared[:, np.newaxis]]
     elif topic is topics.MARKERS:
         for name, markers in values:
             seen = np.full((len(markers), MAX_MARKERS, 3), np.nan)

@@ -310,8 +310,12 @@ def elements(records: Record, field: str) -> list[Record]:
 
 def stamps_of(records: Record) -> IntArray:
     """Header stamps of messages since the epoch [ns], with the shape of the records."""
-    stamp = records["header"]["stamp"]
-    return np.asarray(stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"])
+    return times_of(records["header"]["stamp"])
+
+
+def times_of(records: Record) -> IntArray:
+    """Times of builtin_interfaces/Time since the epoch [ns], with the shape of the records."""
+    return np.asarray(records["sec"].astype(np.int64) * 1_000_000_000 + records["nanosec"])
 
 
 _Placed: TypeAlias = tuple[int, np.dtype[Any]] | None

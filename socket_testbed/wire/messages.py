@@ -222,9 +222,8 @@ class RawLoad(NamedTuple):
 
 
 def _raw(records: cdr.Record, sample: Any) -> RawLoad:
-    tared = records["tared"]
-    taken = _SECOND * tared["sec"].astype(np.int64) + tared["nanosec"]
-    return RawLoad(1e3 * records["ratios"], _joined(records["tare"], "torque", "force"), taken)
+    tare = _joined(records["tare"], "torque", "force")
+    return RawLoad(1e3 * records["ratios"], tare, cdr.times_of(records["tared"]))
 
 
 def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], bytes]:
