@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from socket_testbed.arrays import BREAK, FloatArray, gaps
+from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples, force_magnitude
 from socket_testbed.settings.identification import PlateauSettings
@@ -101,32 +101,40 @@ def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event
     return sorted([*recorded, *others], key=lambda event: event.time)
 
 
-def read_events(bag: BagReader, samples: Samples) -> list[Event]:
+def read_events(bag: BagReader, stamps: IntArray, notify: Callable[[str], None]) -> list[Event]:
     """Read the events recorded with a trial, in recording order; empty if none was recorded.
 
     If a stamp is more than 10 s outside the samples' times, such as zero, the time when the event
-    was recorded between the triggers is used.
+    was recorded between the triggers is used. An event that cannot be decoded is left out.
 
     Args:
         bag: The trial's open bag.
-        samples: All samples of the trial; times count from the first one.
+        stamps: Stamps of all samples of the trial since the epoch, shape (N,) [ns]; times count
+            from the first one.
+        notify: Called with a note on each event that is left out.
     """
     topics = match_topics(bag.types, str(bag.path))
     name = topics.get(EVENT)
-    if name is None or bag.types[name] != EVENT.type or len(samples) == 0:  # or another program's
+    if name is None or bag.types[name] != EVENT.type or len(stamps) == 0:  # or another program's
         return []
-    raws = list(bag.messages([name]))
     reader = Reader(EVENT, bag.path)
-    found = [reader.read(raw.data) for raw in raws]
-    first, last = int(samples.stamps[0]), int(samples.stamps[-1])
+    raws, found = [], []
+    for raw in bag.messages([name]):
+        try:
+            found.append(reader.read(raw.data))
+        except TrialError as error:
+            notify(f"{error}: left out")
+            continue
+        raws.append(raw)
+    first, last = int(stamps[0]), int(stamps[-1])
     time = np.array([(stamp - first) * 1e-9 for stamp, _ in found])
     apart = (time < -_STAMP_MARGIN) | (time > (last - first) * 1e-9 + _STAMP_MARGIN)
     if apart.any():
         triggers = list(bag.messages([topics[TRIGGER]]))
         reader = Reader(TRIGGER, bag.path)
-        stamps = [reader.read(raw.data)[0] - first for raw in triggers]
+        triggered = [reader.read(raw.data)[0] - first for raw in triggers]
         recorded, moments = ([raw.time - first for raw in each] for each in (triggers, raws))
-        time = np.where(apart, 1e-9 * np.interp(moments, recorded, stamps), time)
+        time = np.where(apart, 1e-9 * np.interp(moments, recorded, triggered), time)
     return [
         Event(_printable(label), when, "recorded")
         for (_, label), when in zip(found, time.tolist(), strict=True)

@@ -65,6 +65,7 @@ class _Kept:
             samples; None before the first reading.
         fingerprint: The fingerprint; empty before the first reading.
         tares: The recorded tares.
+        events: The recorded events, in recording order.
         checked: The judged samples, by left-out channels.
         raw: The problems that the measurements show, and what nodes reported.
         notes: The notes as keys, in their order, without duplicates.
@@ -74,6 +75,7 @@ class _Kept:
     read: tuple[synchronise.Measurements, Samples] | None = None
     fingerprint: str = ""
     tares: tuple[RecordedTare, ...] = ()
+    events: tuple[Event, ...] = ()
     checked: dict[tuple[str, ...], CheckedSamples] = field(default_factory=dict)
     raw: tuple[DataFinding, ...] = ()
     notes: dict[str, None] = field(default_factory=dict)
@@ -345,6 +347,7 @@ class Trial:
             recorded = self._recorded(bag)
             turned = [*raw_check.check_orientations(bag, self.geometry)]
             reports = raw_check.check_reports(bag, recorded.stamps)
+            self._kept.events = tuple(read_events(bag, recorded.stamps, self._notify))
         remade = self._remade(recorded)
         measured = self._corrected(remade)
         self._require_clusters(measured.clusters)
@@ -442,9 +445,7 @@ class Trial:
     @cached_property
     def _events(self) -> list[Event]:
         samples = self.samples()
-        with self.open() as bag:
-            recorded = read_events(bag, samples)
-        return join_events(recorded, find_events(samples, self.estimator.plateau))
+        return join_events(self._kept.events, find_events(samples, self.estimator.plateau))
 
     def select(
         self,

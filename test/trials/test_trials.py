@@ -444,6 +444,39 @@ def test_a_message_that_cannot_be_decoded_is_named(
     assert re.search(r"^1 times .*torn: a message on \S+ cannot be decoded.*: left out$", note)
 
 
+def test_an_event_that_cannot_be_decoded_is_left_out(hold: Path, tmp_path: Path) -> None:
+    """The other events keep their labels and times."""
+    marks = [(label, when, when) for label, when in (("push", 10.0), ("twist", 20.0))]
+    bags.add_events(hold, tmp_path / "whole", marks)
+    with bags.copying(tmp_path / "whole", tmp_path / "torn") as (old, new):
+        new.add_topic("/event", topics.EVENT)
+        for raw in old.messages():
+            is_push = raw.topic == "/event" and b"push" in raw.data
+            new.write(raw.topic, raw.time, raw.data[:-3] if is_push else raw.data)
+    trial = st.open_trial(tmp_path / "torn", notify=None)
+    recorded = [(each.label, each.time) for each in trial.events() if each.source == "recorded"]
+    assert recorded == [("twist", pytest.approx(20.0))]
+    (note,) = trial.notes
+    assert re.search(r"torn: a message on event cannot be decoded.*: left out$", note)
+
+
+def test_a_trial_is_opened_once(hold: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For its samples, findings, noise, plateaus and events together."""
+    opened: list[Path] = []
+    enter = BagReader.__enter__
+
+    def counted(bag: BagReader) -> BagReader:
+        opened.append(bag.path)
+        return enter(bag)
+
+    monkeypatch.setattr(BagReader, "__enter__", counted)
+    trial = Trial(hold)
+    trial.checked()
+    trial.select("hold")
+    trial.events()
+    assert opened == [hold]
+
+
 def test_a_layout_fits_messages_of_its_form() -> None:
     kind = topics.CAPACITANCE.type
     message = Maker(7, 0).message(kind)
