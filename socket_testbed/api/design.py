@@ -26,6 +26,8 @@ from socket_testbed.documents import (
     texts_of,
 )
 from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.figures.style import save_figure
+from socket_testbed.figures.tiles import socket_figure
 from socket_testbed.files import SOCKET_FILE, check_suffix, packaged
 from socket_testbed.geometry.regions import all_regions, tiles_named
 from socket_testbed.geometry.socket import AREA_LIMITS, read_socket, write_socket
@@ -284,8 +286,6 @@ def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
 
 
 def _write_design(design: SocketDesign, output: Path) -> None:
-    from socket_testbed.figures.style import save_figure
-    from socket_testbed.figures.tiles import socket_figure
     from socket_testbed.report.page import write_socket_page
     from socket_testbed.socket_design.scan_file import simplify
 

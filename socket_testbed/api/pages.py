@@ -14,6 +14,7 @@ from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import prior_for
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.documents import check_kind, path_of
+from socket_testbed.figures.style import figure_style
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
@@ -115,8 +116,7 @@ def write_report(
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
     trial = trials.as_trial(trial)
-    # matplotlib and plotly are slow to import.
-    from socket_testbed.figures.style import figure_style
+    # Only pages need their libraries.
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
     from socket_testbed.results.report import compute_results
@@ -178,7 +178,7 @@ def write_comparison(
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> st.write_comparison(found, "liners.html")
     """
-    # matplotlib is slow to import.
+    # Only pages need their libraries.
     from socket_testbed.report.page import Maps, Section, write_page
 
     check_kind(found, Comparison, "the comparison", "give a result of st.compare")
@@ -222,7 +222,7 @@ def write_survey(
     >>> again = st.simulate("trials/again", duration=40, donning=2, geometry="moved.yaml")
     >>> st.write_survey(st.survey("trials/hold", again), "survey.html")
     """
-    # matplotlib is slow to import.
+    # Only pages need their libraries.
     from socket_testbed.report.page import Maps, Section, write_page
 
     check_kind(found, Survey, "the survey", "give a result of st.survey")

@@ -58,7 +58,7 @@ from socket_testbed.trials.trial import Trial
 from socket_testbed.wire.topics import full_namespace
 
 if TYPE_CHECKING:
-    from socket_testbed.results.report import Results  # slow: it imports matplotlib
+    from socket_testbed.results.report import Results
 
 _BY_REGION = ("mean pressure", "peak pressure", "share of load")
 _MAX_PLACES = 8  # judged places on the terminal

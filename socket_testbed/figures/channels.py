@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, TypeAlias
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.style import (
@@ -24,6 +22,9 @@ from socket_testbed.identification.fit import ChannelErrors
 from socket_testbed.samples import Samples
 from socket_testbed.tables import number
 from socket_testbed.trials.segment import Segment
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # channels of the wrench: forces above, moments below
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.figures.style import LINE_STYLES, FigureStyle, in_style, lay_out, style_axes
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _MARKS: dict[str, dict[str, Any]] = {
     SENSOR_ONLY: {"marker": "s", "markersize": 6},
@@ -44,6 +44,9 @@ def pareto_figure(fronts: Iterable[Front], title: str, style: FigureStyle) -> Fi
         title: Title of the figure.
         style: Print layout.
     """
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+
     columns = 2 if style.is_narrow else 3
     figure = style.figure(_ASPECT * style.width + 30.0 - 6.0 * columns)
     style.add_title(figure, title)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.style import (
@@ -25,6 +24,10 @@ from socket_testbed.identification.pressure import PressureOutputs, Quantity, no
 from socket_testbed.settings.options import Side
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
 
 NAMED_SEGMENTS = ("plateau", "hold")
 _LABEL = "pressure [kPa]"

@@ -1,30 +1,34 @@
-"""Style shared by all figures: printed size, type, colours, lines distinct in grey, files."""
+"""Style shared by all figures: printed size, type, colours, lines distinct in grey, files.
+
+matplotlib takes half a second to import: the modules of this folder import it where they draw, so
+that pages share their colours and lines without it.
+"""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_hex
-from matplotlib.figure import Figure, SubFigure
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import TextPath
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PICTURES, atomic_output, check_suffix
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 # Of errors and differences, white at zero; as in socket.js (ColorBrewer's RdBu, turned round)
-DIVERGING = LinearSegmentedColormap.from_list(
-    "diverging", ["#2166ac", "#67a9cf", "#f7f7f7", "#f4a582", "#b2182b"]
-)
+DIVERGING = ("#2166ac", "#67a9cf", "#f7f7f7", "#f4a582", "#b2182b")
 
 VERMILION, BLUE, GREEN = "#D55E00", "#0072B2", "#009E73"  # Okabe & Ito's
 INK = "#222222"  # the colour of text on a page, also a dark one
@@ -40,7 +44,7 @@ THINNED = (
     f"Lines with more than {MAX_POINTS} samples show the lowest and highest value of each interval,"
     " so no peak is lost; the CSV holds all samples."
 )
-MEASURED_STYLE: dict[str, Any] = {"color": "0.65", "linewidth": 2.4}
+MEASURED_STYLE: dict[str, Any] = {"color": "#A6A6A6", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
 
@@ -48,7 +52,7 @@ def _page_line(style: Mapping[str, Any]) -> dict[str, Any]:
     """A line style of the figures for plotly, in pixels; no colour stands for `INK`."""
     found: dict[str, Any] = {"width": 1.2 * style.get("linewidth", 1.1)}
     if style["color"] != INK:
-        found["color"] = to_hex(style["color"])
+        found["color"] = style["color"]
     if not isinstance(style.get("linestyle", "-"), str):
         found["dash"] = ",".join(f"{2.0 * length:g}px" for length in style["linestyle"][1])
     return found
@@ -86,9 +90,20 @@ _STYLE: dict[str, Any] = {
     "savefig.bbox": "standard",  # a tight box would change the width
     "text.usetex": False,
 }
-# Decorator of drawing functions that shields them from the user's matplotlib settings.
-in_style = mpl.rc_context(_STYLE)
 _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}
+
+
+def in_style(draw: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Decorator of drawing functions that shields them from the user's matplotlib settings."""
+
+    @wraps(draw)
+    def drawn(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        from matplotlib import rc_context
+
+        with rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return drawn
 
 
 @dataclass(frozen=True)
@@ -113,6 +128,8 @@ class FigureStyle:
 
     def figure(self, height: float) -> Figure:
         """An empty figure of this width and the given height [mm]."""
+        from matplotlib.figure import Figure
+
         return Figure(figsize=(self.width * MM, height * MM), layout="constrained")
 
     def add_title(self, figure: Figure | SubFigure, title: str) -> None:
@@ -157,6 +174,9 @@ def wrap(text: str, width: float, size: float = LABEL) -> str:
         width: Width of a line [mm].
         size: Size of the type [pt].
     """
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextPath
+
     if not text.strip():
         return text
     drawn = TextPath((0, 0), text.replace("$", "S"), size=size, prop=FontProperties())
@@ -207,6 +227,8 @@ def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
         entries: Handles and labels as in matplotlib's `legend`; none for all labelled lines.
         options: Options of matplotlib's `legend`, which override the usual ones.
     """
+    from matplotlib.axes import Axes
+
     if isinstance(where, Axes):
         bold = {"size": LABEL, "weight": "bold"}
         above = {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "borderaxespad": 0.0}
@@ -218,12 +240,14 @@ def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
 
 def lay_out(figure: Figure) -> Figure:
     """Do the layout of a figure once; otherwise every save would repeat it."""
+    from matplotlib import rc_context
+
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
         if any(axis.get_aspect() != "auto" for axis in figure.axes):
             engine.execute(figure)  # panels with a fixed aspect need a second pass
-        with mpl.rc_context(_NO_LAYOUT):
+        with rc_context(_NO_LAYOUT):
             figure.set_layout_engine(None)  # "none" leaves a placeholder: savefig draws twice
     return figure
 

@@ -5,16 +5,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
-from matplotlib.colors import PowerNorm, to_rgba
-from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Patch as Swatch
-from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
@@ -35,6 +28,11 @@ from socket_testbed.figures.wall import Patch, UnrolledTiles, patches, side_name
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import greyness
 from socket_testbed.settings.options import Side
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure, SubFigure
 
 _TILE = "#A6CBE3"
 _EDGE = "#2B5C7D"
@@ -127,11 +125,15 @@ def paint_tiles(
         reach: Half-widths of the 95 % intervals of pressures, shape (n,) [kPa]; None colours each
             tile evenly, as does a missing value.
     """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, PowerNorm, to_rgba
+
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     low, high = limits or value_range(values)
     differs = low == -high
     power = POWER if reach is not None and not differs else 1.0
-    scale = ScalarMappable(PowerNorm(power, low, high), DIVERGING if differs else SCALE)
+    colours = LinearSegmentedColormap.from_list("diverging", DIVERGING) if differs else SCALE
+    scale = ScalarMappable(PowerNorm(power, low, high), colours)
     fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():
         return TilePaint(geometry, tiles, fills, unknown, scale)
@@ -182,6 +184,9 @@ def _draw_end(axis: Axes, paint: TilePaint, labels: Sequence[str]) -> None:
 
 def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -> None:
     """Draw image, tiles, hatches and labels of the wall or the end."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgba
+
     for patch, image in paint.images:
         if patch.name == name:
             look: dict[str, Any] = {"origin": "lower", "interpolation": "bilinear", "zorder": 0.5}
@@ -218,7 +223,7 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
         return
     look: dict[str, Any] = {"fontsize": SMALL}
     if len(label) <= 2:
-        look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        look |= _outlined()
     else:
         width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
         across, up = _CHARACTER * max(map(len, lines)), _LINE * len(lines)
@@ -228,6 +233,13 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
         look |= {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
         x, y = corners.mean(axis=0)
         axis.text(x, y, text, **look)
+
+
+def _outlined() -> dict[str, Any]:
+    """Look of a text with a white outline, legible on any fill."""
+    from matplotlib.patheffects import withStroke
+
+    return {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
 
 
 def _points_per_unit(axis: Axes) -> FloatArray:
@@ -341,7 +353,7 @@ def draw_wall(
         x, y = paint.tiles.corners[tile].mean(axis=0)
         inside = "left" if x < -_NEAR_SEAM else "center"
         look: dict[str, Any] = {"ha": inside, "va": "center", "zorder": 3, "parse_math": False}
-        look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        look |= _outlined()
         axis.text(x, y, name.replace("_", "_\n"), fontsize=SMALL, color="black", **look)
     axis.figure.colorbar(paint.scale, ax=axis, label=unit)
 
@@ -437,6 +449,9 @@ def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
         geometry: The socket.
         title: Title of the figure; empty for none.
     """
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Patch as Swatch
+
     style = FigureStyle(300.0)
     figure = style.figure(140.0)
     style.add_title(figure, title)

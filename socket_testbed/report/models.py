@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.channels import FORCES_FIRST, wrench_figure
@@ -31,6 +30,9 @@ from socket_testbed.results.report import GIVEN, Results
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit, mean_and_sigma
 from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure, SubFigure
 
 ERRORS_FILE = "errors.csv"  # in the folder of every report, which it marks as one
 

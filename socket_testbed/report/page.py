@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from matplotlib.figure import Figure
 from plotly.offline import get_plotlyjs
 
 from socket_testbed.arrays import FloatArray
@@ -27,6 +26,7 @@ from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
 
 if TYPE_CHECKING:
     import trimesh
+    from matplotlib.figure import Figure
 
     from socket_testbed.trials.segment import Segment
 

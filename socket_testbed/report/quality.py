@@ -8,11 +8,10 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, gaps
 from socket_testbed.figures.style import (
@@ -41,6 +40,9 @@ from socket_testbed.trials.description import (
 )
 from socket_testbed.trials.metadata import NO_SIDE
 from socket_testbed.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST_LENGTH = 16  # hexadecimal digits

@@ -14,6 +14,7 @@ import pandas as pd
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, write_calibration
 from socket_testbed.documents import path_of
+from socket_testbed.figures.style import MEASURED_STYLE, VERMILION, FigureStyle, lay_out, style_axes
 from socket_testbed.files import refuse_existing
 from socket_testbed.results.result import PathLike, Result
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
     from socket_testbed.calibration.calibrate import BenchCalibration
     from socket_testbed.calibration.drift import Drift
-    from socket_testbed.figures.style import FigureStyle
-
 _MAX_POINTS = 4000  # per panel
 
 
@@ -165,7 +164,6 @@ class CalibratedCluster(Result):
     def _figure(self, style: FigureStyle) -> Figure:
         """Calibrated versus known stress, and the residuals; a column per stress."""
         from socket_testbed.calibration.bench_data import STRESSES
-        from socket_testbed.figures.style import MEASURED_STYLE, VERMILION, lay_out, style_axes
 
         found = self.quality
         groups = found.cross_validation.groups

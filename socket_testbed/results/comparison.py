@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.figures.style import FigureStyle
+from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.differences import DIFFERENCE, VALUE, VALUES, is_clear
 from socket_testbed.identification.pressure import Quantity, decimals_of
@@ -19,8 +21,6 @@ from socket_testbed.tables import NOTHING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
 
 _MOST_DIFFERING = 10  # in words
 COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
@@ -189,8 +189,6 @@ class Comparison(Result):
         """Maps of the mean pressure on the fixed colour scale."""
         if self.geometry is None:
             return super()._figure(style)
-        from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
-
         pressures = self.tile_pressures(VALUE)
         return tile_map_figure(
             self.geometry,

@@ -10,6 +10,7 @@ import pandas as pd
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.figures.style import LINE_STYLES, FigureStyle, Limits, lay_out, panels, wrap
 from socket_testbed.results.result import Result
 from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials.trial import Trial
@@ -17,8 +18,6 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle, Limits
 
 POINTS = 101  # 0 to 100 % of a cycle
 _MIN_CYCLES = 3  # for a band
@@ -131,8 +130,6 @@ class Cycles(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Mean of each quantity, with a band of one standard deviation."""
-        from socket_testbed.figures.style import lay_out, panels, wrap
-
         count = len(self.titles)
         if count > MAX_PANELS:
             raise ConfigurationError(
@@ -159,8 +156,6 @@ class Cycles(Result):
 
     def _draw_quantity(self, panel: Axes, number: int) -> None:
         """Mean of a quantity with its band, and the single cycles."""
-        from socket_testbed.figures.style import LINE_STYLES
-
         percent, colour = np.linspace(0.0, 100.0, POINTS), LINE_STYLES[1]["color"]
         mean, deviation = self.mean[:, number], self.deviation[:, number]
         if len(self) <= _MAX_LINES:

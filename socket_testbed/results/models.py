@@ -14,6 +14,9 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.documents import path_of
 from socket_testbed.errors import IdentificationError
+from socket_testbed.figures.channels import wrench_figure
+from socket_testbed.figures.style import FigureStyle
+from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information
 from socket_testbed.identification.fit import (
@@ -38,8 +41,6 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
 
 _MIN_HELD_OUT = 10  # samples
 
@@ -158,8 +159,6 @@ class TrialFit(Result):
         return _errors_document(self, self.fit, self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.figures.tiles import tile_map_figure
-
         model = self.fit.model
         maps = {
             f"k along {x} of {model.frame}": k
@@ -313,8 +312,6 @@ class Evaluation(Result):
             write_text(path, self.to_json())
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.figures.channels import wrench_figure
-
         shown = [(self.model.model.variant, self.predicted, self.errors)]
         heading = f"{self.trial.name}, {self.segment}: measured and predicted wrench"
         return wrench_figure(self.trial.samples(), self.segment, shown, heading, style)

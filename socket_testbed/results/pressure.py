@@ -15,6 +15,9 @@ import pandas as pd
 from socket_testbed.arrays import FloatArray, IntArray, evenly, sample_at
 from socket_testbed.documents import check_number, check_whole, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.figures.pressure import force_map_figure, pressure_figure
+from socket_testbed.figures.style import FigureStyle, Limits
+from socket_testbed.figures.tiles import draw_wall, pressure_limits
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
@@ -42,7 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.figures.style import FigureStyle, Limits
     from socket_testbed.identification.survey_prior import SurveyPrior
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
@@ -289,15 +291,11 @@ class TrialMap(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Mean pressure on the tiles, and its standard deviation."""
-        from socket_testbed.figures.pressure import force_map_figure
-
         heading = f"{self.trial.name}, {self.segment}: force map"
         side = self.trial.metadata.side
         return force_map_figure(self.trial.geometry, self.mean, heading, style, side)
 
     def _draw_into(self, ax: Axes, limits: Limits) -> None:
-        from socket_testbed.figures.tiles import draw_wall, pressure_limits
-
         mean, side = self.mean, self.trial.metadata.side
         pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
         ends = pressure_limits(pressure, limits)
@@ -606,8 +604,6 @@ class TrialPressure(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Unrolled maps, mean and at the peak; sectors, heights and user regions over time."""
-        from socket_testbed.figures.pressure import pressure_figure
-
         heading = f"{self.trial.name}: pressure, {self.segment}"
         return pressure_figure(self.trial, self.segment, self.places, self.outputs, heading, style)
 

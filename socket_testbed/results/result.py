@@ -11,6 +11,7 @@ import pandas as pd
 
 from socket_testbed.documents import check_kind, check_number, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.figures.style import FigureStyle, Limits, figure_style, in_style, save_figure
 from socket_testbed.files import PICTURES, check_suffix, write_text
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
@@ -19,8 +20,6 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle, Limits
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
@@ -88,9 +87,6 @@ class Result:
                 result has no figure, or none with such a scale.
         """
         self._check_scale(vmin, vmax)
-        # matplotlib is slow to import.
-        from socket_testbed.figures.style import figure_style, in_style
-
         found: Figure = in_style(self._figure)(figure_style(width, title, (vmin, vmax)))
         return found
 
@@ -133,8 +129,6 @@ class Result:
             if hasattr(path, "get_figure"):
                 raise ConfigurationError("the file is a part of a figure", "give axes as ax=...")
             check_suffix(path_of(path, "the file"), PICTURES, "picture")
-            from socket_testbed.figures.style import save_figure
-
             figure = self.figure(width, title, vmin, vmax)
             save_figure(figure, path_of(path, "the file"))
 

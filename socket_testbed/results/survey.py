@@ -12,6 +12,8 @@ import pandas as pd
 
 from socket_testbed.arrays import FloatArray, rms
 from socket_testbed.documents import finite_or_null
+from socket_testbed.figures.style import FigureStyle
+from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
 from socket_testbed.geometry.regions import DISTAL_END, anatomical_regions, place_of
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
@@ -25,8 +27,6 @@ from socket_testbed.tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
 
 _BANDS = (0.0, 0.04, 0.06, np.inf)  # [m]; distances from the nearest cluster
 LIMB = "limb"
@@ -315,8 +315,6 @@ class Survey(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Each trial's own map beside the completed one, and the limb's."""
-        from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
-
         maps = {title: self._pressure_of(field) for title, field in self._maps()}
         values = {title: pressure for title, (pressure, _) in maps.items()}
         return tile_map_figure(

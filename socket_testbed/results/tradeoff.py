@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from socket_testbed.figures.fronts import pareto_figure
+from socket_testbed.figures.style import FigureStyle
 from socket_testbed.identification.paper import THEIRS
 from socket_testbed.identification.pareto import Front, front_document, front_table
 from socket_testbed.results.result import Result, origin, records
@@ -16,8 +18,6 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,8 +73,6 @@ class Tradeoff(Result):
         return origin(self.trial, self.segment) | {"fronts": fronts}
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.figures.fronts import pareto_figure
-
         heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
         return pareto_figure([*self.fronts.values()], heading, style)
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from socket_testbed.figures.style import FigureStyle
+from socket_testbed.figures.validation import validation_figure
 from socket_testbed.identification import validation
 from socket_testbed.identification.model_file import record
 from socket_testbed.results.result import Result
@@ -14,8 +16,6 @@ from socket_testbed.trials.metadata import TrialMetadata
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from socket_testbed.figures.style import FigureStyle
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,8 +96,6 @@ class Validation(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Errors by cluster and coverage of the intervals."""
-        from socket_testbed.figures.validation import validation_figure
-
         several = len(self.trials) > 1
         name = f"{len(self.trials)} trials, means" if several else self.trials[0]
         return validation_figure(self.judgements, f"{name}: validation", style)

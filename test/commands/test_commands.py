@@ -55,6 +55,16 @@ def test_help_imports_no_library() -> None:
     assert "(default: 0.001)" in out and out.endswith("\nset()\n")
 
 
+def test_a_page_imports_no_library_of_printed_figures(hold: Path, tmp_path: Path) -> None:
+    words = ["report", str(hold), "-o", str(tmp_path / "page.html"), "--thetas", "3"]
+    script = (
+        "import sys; from socket_testbed.__main__ import run\n"
+        f"print(run({words!r}), 'matplotlib' in sys.modules)\n"
+    )
+    _, out, _ = program(sys.executable, "-c", script)
+    assert out.endswith("\n0 False\n")
+
+
 def test_info_states_what_a_trial_holds(hold: Path, capsys) -> None:
     code, out, _ = call(capsys, "info", hold)
     assert code == 0

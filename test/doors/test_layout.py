@@ -58,8 +58,8 @@ def test_a_page_s_chart_holds_lines_and_spans() -> None:
     assert panel["title"] == "Fz [N]" and panel["lines"]["measured"]["x"] == [0.0, 1.0, 2.0]
     assert panel["lines"]["measured"]["y"] == [1.0, None, 3.1235]
     assert panel["lines"]["model"]["y"] == [2.0, None, 4.1235]
-    assert panel["lines"]["measured"]["style"]["color"] == "#a6a6a6"  # grey
-    assert panel["lines"]["model"]["style"]["color"] == "#d55e00"  # vermilion
+    assert panel["lines"]["measured"]["style"]["color"] == "#A6A6A6"  # grey
+    assert panel["lines"]["model"]["style"]["color"] == "#D55E00"  # vermilion
 
 
 # --- panels and styles

@@ -77,7 +77,7 @@ def test_a_figure_has_the_asked_style(
 ) -> None:
     written: list[Any] = []
     monkeypatch.setattr(
-        "socket_testbed.figures.style.save_figure",
+        "socket_testbed.results.result.save_figure",
         lambda figure, path: written.append((figure, str(path))),
     )
     assert Drawn().figure(**options) == expected

@@ -331,7 +331,7 @@ def chart(**changed: Any) -> dict[str, Any]:
                 "measured": {
                     "x": [0.0, 1.0],
                     "y": [10.0 * k, 10.0 * k + 1.0],
-                    "style": {"width": 2.5, "color": "#a6a6a6"},
+                    "style": {"width": 2.5, "color": "#A6A6A6"},
                 },
                 "fit <a>": {"x": [0.0, 2.0], "y": [-1.0, -2.0], "style": {"dash": "2px"}},
             },
@@ -375,7 +375,7 @@ def test_each_name_is_in_the_legend_once() -> None:
 
 def test_lines_have_their_style_or_the_ink() -> None:
     measured, fit = drawn_chart().traces[:2]
-    assert measured["line"] == {"color": "#a6a6a6", "width": 2.5}
+    assert measured["line"] == {"color": "#A6A6A6", "width": 2.5}
     assert fit["line"] == {"color": INK, "dash": "2px"}
 
 
@@ -456,4 +456,4 @@ def test_chart_draws_what_the_document_says() -> None:
     assert picture.layout["xaxis"]["title"]["text"] == "time [s]"
     (shape,) = picture.layout["shapes"]
     assert (shape["x0"], shape["x1"]) == (0.5, 1.5)
-    assert picture.traces[0]["line"]["color"] == "#a6a6a6"  # measured is grey
+    assert picture.traces[0]["line"]["color"] == "#A6A6A6"  # measured is grey
