@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.channels import FORCES_FIRST, wrench_figure
-from socket_testbed.figures.style import (
-    LINE_STYLES,
-    SEGMENT_STYLE,
-    THINNED,
-    FigureStyle,
-    add_legend,
-    panels,
-    thin,
-)
+from socket_testbed.figures.engagement import engagement_figure
+from socket_testbed.figures.style import THINNED
 from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
@@ -31,12 +24,8 @@ from socket_testbed.samples import WRENCH_CHANNELS, channel_unit, mean_and_sigma
 from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure, SubFigure
-
 ERRORS_FILE = "errors.csv"  # in the folder of every report, which it marks as one
 
-_SERIES_HEIGHT = 68.0  # [mm]; two panels over time with their key
 _MEASURES = {"RMSE": "rmse", "MAE": "mae", "sigma": "sigma", "skill [-]": "skill"}
 
 
@@ -306,38 +295,22 @@ def _by_axis(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
 def _engaged_springs(results: Results) -> ReportFigure:
     """Engaged springs of every model, over time and over the socket."""
     models = {label: found.engagement() for label, found in results.candidates.items()}
-    maps = {name: 100.0 * found.time_share.mean(axis=1) for name, found in models.items()}
     columns = [found.columns(f"{label}.springs.") for label, found in models.items()]
-
-    def draw_lines(part: SubFigure) -> None:
-        for axis, kind in zip(panels(part, 2, 1), ("engaged", "uncertain"), strict=True):
-            for (name, found), line in zip(models.items(), LINE_STYLES, strict=False):
-                share = 100.0 * getattr(found, kind) / found.springs
-                axis.plot(*thin(results.samples.time, share), label=name, **line)
-            axis.axvspan(results.segment.start, results.segment.end, **SEGMENT_STYLE)
-            axis.set_ylabel(f"{kind}\nsprings [%]")
-            axis.set_ylim(bottom=0.0)
-        add_legend(part.axes[0], ncols=2)
-
-    def draw(style: FigureStyle) -> Figure:
-        return tile_map_figure(
-            results.trial.geometry,
-            maps,
-            "share of the time engaged [%]",
-            results.title("Engaged springs"),
-            style,
-            limits=(0.0, 100.0),
-            side=results.metadata.side,
-            below=(_SERIES_HEIGHT, draw_lines),
-        )
-
     return ReportFigure(
         "engaged_springs",
         "Engaged springs (compressed, with a stiffness above zero), and uncertain ones, which one"
         " standard deviation of the pose's noise can switch. The maps show the share of time in"
         " the shaded segment with the springs of a tile engaged; engaged_tiles.csv holds it for"
         f" each spring. {THINNED}",
-        draw,
+        lambda style: engagement_figure(
+            results.trial.geometry,
+            results.samples.time,
+            models,
+            results.segment,
+            results.title("Engaged springs"),
+            style,
+            results.metadata.side,
+        ),
         results.series({name: share for found in columns for name, share in found.items()}),
     )
 

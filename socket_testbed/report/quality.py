@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from socket_testbed.arrays import BoolArray, FloatArray, gaps
-from socket_testbed.figures.style import (
-    BLUE,
-    THINNED,
-    VERMILION,
-    FigureStyle,
-    in_style,
-    lay_out,
-    style_axes,
-    thin,
-)
+from socket_testbed.arrays import gaps
+from socket_testbed.figures.overview import overview_figure
+from socket_testbed.figures.style import THINNED
 from socket_testbed.files import PARAMETERS_FILE
 from socket_testbed.identification.fit import Fit, summarise_errors
 from socket_testbed.identification.information import share_warning
@@ -41,15 +33,8 @@ from socket_testbed.trials.description import (
 from socket_testbed.trials.metadata import NO_SIDE
 from socket_testbed.version import __version__
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST_LENGTH = 16  # hexadecimal digits
-_LOAD_HEIGHT, _ROW_HEIGHT, _AXIS_HEIGHT = 36.0, 4.5, 16.0  # [mm]; rows of drop-outs
-_MAX_BINS = 400  # over time
-_SEGMENT_GREY, _PLATEAU_GREY = "0.80", "0.93"
-_COLOURS = (BLUE, VERMILION)  # of force and moment
 
 
 def section(results: Results) -> Section:
@@ -89,44 +74,12 @@ def _overview(results: Results) -> ReportFigure:
         "Measured load over the trial, with plateaus in light and the segment in darker grey."
         " Figures for print also show the share of samples in which a measurement was unusable:"
         f" missing, saturated, or out of the calibrated range. {THINNED}",
-        lambda style: _draw_overview(results, loads, lacking, style),
+        lambda style: overview_figure(
+            samples.time, loads, lacking, results.plateaus, results.segment, style
+        ),
         results.series(loads | flags),
         line_chart(samples.time, charts, [*results.plateaus, results.segment]),
     )
-
-
-@in_style
-def _draw_overview(
-    results: Results,
-    loads: Mapping[str, FloatArray],
-    lacking: Mapping[str, BoolArray],
-    style: FigureStyle,
-) -> Figure:
-    """Magnitudes of force and moment, and the share of unusable samples."""
-    time = results.samples.time
-    heights = (_LOAD_HEIGHT, _LOAD_HEIGHT, _ROW_HEIGHT * len(lacking) + _AXIS_HEIGHT)
-    figure = style.figure(sum(heights))
-    *axes, lowest = figure.subplots(3, 1, sharex=True, height_ratios=heights)
-    spans = [*((p, _PLATEAU_GREY) for p in results.plateaus), (results.segment, _SEGMENT_GREY)]
-    for axis, (name, load), colour in zip(axes, loads.items(), _COLOURS, strict=True):
-        for part, grey in spans:
-            axis.axvspan(part.start, part.end, color=grey, linewidth=0.0)
-        axis.plot(*thin(time, load), color=colour, linewidth=1.0)
-        axis.set_ylabel(name.replace(" [", "\n["))
-        style_axes(axis)
-    count = max(1, min(_MAX_BINS, len(time) // 2))
-    edges = np.linspace(time[0], max(time[-1], time[0] + 1e-3), count + 1)
-    triggers, _ = np.histogram(time, edges)
-    lost = [np.histogram(time, edges, weights=1.0 * rows)[0] for rows in lacking.values()]
-    # Without triggers, all measurements are missing.
-    share = np.where(triggers > 0, np.array(lost) / np.maximum(triggers, 1), 1.0)
-    rows = np.arange(len(lacking) + 1) - 0.5
-    mesh = lowest.pcolormesh(edges, rows, share, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-    lowest.set_yticks(range(len(lacking)), list(lacking), parse_math=False)
-    lowest.invert_yaxis()
-    lowest.set_xlabel("time [s]")
-    figure.colorbar(mesh, ax=lowest, pad=0.01, aspect=12).set_label("not usable [-]")
-    return lay_out(figure)
 
 
 def notes_section(results: Results) -> Section:

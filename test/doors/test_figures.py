@@ -21,10 +21,10 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.figures.overview import overview_figure
 from socket_testbed.figures.pressure import force_map_figure
 from socket_testbed.figures.style import COLUMN, DEFAULT_STYLE, FigureStyle
 from socket_testbed.figures.tiles import draw_wall, socket_figure
-from socket_testbed.report import quality
 from socket_testbed.report.write import SECTIONS
 
 YELLOW, VIOLET = (0.993, 0.906, 0.144), (0.267, 0.005, 0.329)  # the ends of viridis
@@ -576,7 +576,10 @@ def test_drop_outs_are_dark_at_their_time(report) -> None:
     lost = np.arange(96) < 24
     loads = {"force magnitude [N]": np.zeros(96), "moment magnitude [N m]": np.zeros(96)}
     lacking = {"Mx": np.zeros(96, dtype=bool), "distal": lost}
-    figure = quality._draw_overview(report.results, loads, lacking, DEFAULT_STYLE)
+    found = report.results
+    figure = overview_figure(
+        found.samples.time, loads, lacking, found.plateaus, found.segment, DEFAULT_STYLE
+    )
     (mesh,) = figure.axes[2].collections
     found = np.asarray(mesh.get_array()).reshape(2, 48)
     assert not found[0].any()

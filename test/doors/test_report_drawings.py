@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 from support import scene
 
 from socket_testbed.figures import pressure, tiles
+from socket_testbed.figures.overview import overview_figure
 from socket_testbed.figures.style import DEFAULT_STYLE
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import Judgement
@@ -25,15 +26,13 @@ SEGMENT = Segment("span", 3.0, 5.0, slice(12, 21))
 
 
 @pytest.fixture
-def overview(report) -> Figure:
+def overview() -> Figure:
     """The overview of the scene with a gap between 12 and 18 s."""
-    results = report.results
     kept = (scene.TIME < 12.0) | (scene.TIME >= 18.0)
-    made = replace(results, samples=results.samples[kept], plateaus=(PLATEAU,), segment=SEGMENT)
     ones = np.ones(kept.sum())
     lacking = {"Mx": np.zeros(kept.sum(), dtype=bool), "distal": scene.TIME[kept] < 3.0}
     loads = {"force magnitude [N]": ones, "moment magnitude [N m]": ones}
-    return quality._draw_overview(made, loads, lacking, DEFAULT_STYLE)
+    return overview_figure(scene.TIME[kept], loads, lacking, [PLATEAU], SEGMENT, DEFAULT_STYLE)
 
 
 def test_the_segment_is_darker_than_plateaus(overview: Figure) -> None:
