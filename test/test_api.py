@@ -24,6 +24,7 @@ from socket_testbed.api import Result
 from socket_testbed.files import packaged
 from socket_testbed.socket_design import tiling
 from socket_testbed.socket_design.tiling import TilingSettings
+from socket_testbed.trials.trial import Trial
 
 FUNCTIONS = [name for name in st.__all__ if name.islower()]
 
@@ -325,3 +326,64 @@ def test_a_table_shows_the_model_s_prediction(stored, tmp_path) -> None:
     trial, _, model = stored
     shown = st.export(trial, tmp_path / "table.csv", model=model)["predicted.Fz [N]"]
     np.testing.assert_allclose(shown, st.predict(trial, model)["Fz [N]"])
+
+
+# --- problems in the data
+
+
+@pytest.fixture(scope="module")
+def doubtful(folder: Path, tmp_path_factory: pytest.TempPathFactory):
+    """A function that opens a hold of 28 kg by a person of 5 kg, and collects its notes."""
+    path = tmp_path_factory.mktemp("doubtful")
+    for name in ("hold", "again"):
+        st.simulate(path / name, duration=40, seed=3, donning=1 if name == "again" else None)
+        st.annotate(path / name, mass=5)
+    moved = {"duration": 40, "seed": 3, "donning": 2, "geometry": folder / "moved.yaml"}
+    st.simulate(path / "moved", **moved)
+
+    def opened(name: str = "hold") -> tuple[Trial, list[str]]:
+        notes: list[str] = []
+        return st.open_trial(path / name, notify=notes.append), notes
+
+    return opened
+
+
+@pytest.fixture(scope="module")
+def sound_model(folder: Path) -> st.TrialFit:
+    return st.fit(folder / "trials" / "hold", variant="stiffness")
+
+
+@pytest.mark.usefixtures("few_variants")
+@pytest.mark.parametrize(
+    "use",
+    [
+        pytest.param(lambda trial, *_: st.fit(trial, variant="stiffness"), id="fit"),
+        pytest.param(lambda trial, model, *_: st.evaluate(trial, model), id="evaluate"),
+        pytest.param(lambda trial, model, *_: st.predict(trial, model), id="predict"),
+        pytest.param(lambda trial, *_: st.pressure(trial), id="pressure"),
+        pytest.param(lambda trial, *_: st.force_map(trial), id="force_map"),
+        pytest.param(lambda trial, *_: st.pareto(trial, thetas=3), id="pareto"),
+        pytest.param(lambda trial, *_: st.paper(trial, thetas=3), id="paper"),
+        pytest.param(lambda trial, *_: st.validate(trial), id="validate"),
+        pytest.param(lambda trial, _, folder, other: st.compare(trial, other), id="compare"),
+        pytest.param(
+            lambda trial, _, folder, other: st.survey(trial, folder / "moved"), id="survey"
+        ),
+        pytest.param(
+            lambda trial, _, folder, other: st.export(trial, folder / "out.csv"), id="export"
+        ),
+        pytest.param(
+            lambda trial, _, folder, other: st.export(trial, folder / "out.mot"), id="export-mot"
+        ),
+        pytest.param(
+            lambda trial, *_: st.cycles(trial, "Fz", by="placed:removed", segment="all"),
+            id="cycles",
+        ),
+        pytest.param(lambda trial, *_: st.view(trial, port=0).close(), id="view"),
+    ],
+)
+def test_a_problem_in_the_data_is_noted_once(use, doubtful, sound_model) -> None:
+    """As the verbs do, whatever the function."""
+    trial, notes = doubtful()
+    use(trial, sound_model, trial.path.parent, doubtful("again")[0])
+    assert len([note for note in notes if "5 kg" in note]) == 1

@@ -217,6 +217,7 @@ def predict(
     trial = as_trial(trial)
     stored = model_for(trial, model)
     chosen = _select(trial, stored, segment)
+    note_problems(trial, stored.settings.leave_out)
     samples, values = trial.samples(), predictions(trial, stored)
     table = pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), samples.titles)
     return table.iloc[chosen.rows]

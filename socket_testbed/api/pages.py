@@ -404,4 +404,5 @@ def view(
     check_kind(host, str, "host", "give an address, such as 127.0.0.1")
     predicted = None if model is None else predictions(trial, model_for(trial, model))
     player = Player(trial, predicted, prior_for(trial, prior))
+    trials.note_problems(trial)
     return PageServer(player, host, port, names)

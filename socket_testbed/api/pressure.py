@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.trials import as_trial, settings_of
+from socket_testbed.api.trials import as_trial, note_problems, settings_of
 from socket_testbed.documents import check_kind, check_number, mapping_of, path_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.pressure import check_measured
@@ -78,6 +78,7 @@ def _mapped(
     learnt = prior_for(trial, prior)
     check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = trial.select(segment, settings)
+    note_problems(trial, settings.identification.leave_out)
     with threadpool_limits(1):
         found = map_trial(trial, settings, geometry, learnt).part(chosen)
     check_measured(found.samples)

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.trials import (
     Progress,
     as_trial,
+    note_problems,
     require_different,
     require_one_socket,
     settings_of,
@@ -180,6 +181,7 @@ class _Part:
 
 def _part_of(trial: Trial, specification: str, settings: EstimatorSettings) -> _Part:
     chosen = trial.select(specification, settings)
+    note_problems(trial, settings.identification.leave_out)
     checked = trial.checked(settings.identification.leave_out)
     checked.part(chosen.rows)  # refuses another unit
     samples = checked.counted[chosen.rows]

@@ -67,12 +67,13 @@ def as_path(path: PathLike | None) -> Path | None:
     return None if path is None else path_of(path, "the file")
 
 
-def note_problems(trial: Trial, leave_out: tuple[str, ...]) -> None:
-    """Note the problems in a trial's data, except in left-out channels.
+def note_problems(trial: Trial, leave_out: tuple[str, ...] | None = None) -> None:
+    """Note the problems in a trial's data, as its verb does, except in left-out channels.
 
     Args:
         trial: The trial; each problem is a note, sent to its `notify`.
-        leave_out: Names of channels that are not checked, such as `distal.Fx` or `Mz`.
+        leave_out: Names of channels that are not checked, such as `distal.Fx` or `Mz`; None stands
+            for those of the trial's settings.
     """
     for found in trial.problems(leave_out):
         trial.note(str(found))

@@ -17,6 +17,7 @@ from socket_testbed.api.trials import (
     Progress,
     as_path,
     as_trial,
+    note_problems,
     require_different,
     require_one_socket,
     settings_of,
@@ -211,6 +212,7 @@ def _recordings(
             settings = settings_of(trial, params, **choices)
             rows = trial.select(segment, settings).rows
             checked = trial.checked(settings.identification.leave_out)
+            note_problems(trial, settings.identification.leave_out)
             samples = checked.counted[rows]
             loaded = np.zeros(len(checked.measured), dtype=bool)
             loaded[rows] = samples.under_load(settings.plateau.least_force)

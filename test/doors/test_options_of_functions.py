@@ -644,7 +644,10 @@ CASES: dict[str, Cases] = {
         "share": (0.1, {"share": 0.1}),
         "regions": (REGIONS, {"regions": {"mine": (0, 11)}}),
         "params": ("params.yaml", {"length of the prior": 0.05, "least force": 30.0}),
-        "leave_out": (("Mz",), {"left out": ("Mz",), "selected without": ("Mz",)}),
+        "leave_out": (
+            ("Mz",),
+            {"left out": ("Mz",), "checked without": ("Mz",), "selected without": ("Mz",)},
+        ),
     },
     "cycles": {
         "quantity": (["Fz", "Mx"], {"titles": ("Fz [N]", "Mx [N m]")}),
@@ -700,8 +703,7 @@ CASES: dict[str, Cases] = {
             {
                 "leave_out": ["Mz"],
                 "missing in the wrench": [2],
-                "sound without": ("Mz",),
-                "selected without": ("Mz",),
+                **LEFT_OUT,
             },
         ),
         "pose_smoothing": (1.5, {"pose_smoothing": 1.5}),
