@@ -128,7 +128,7 @@ WRONG = {
     "trial.select(3)": "the segment is 3: give plateau",
     "trial.select('platau')": "unknown segment 'platau': did you mean 'plateau'?",
     "trial.select('all', 3)": "the argument settings is 3: leave it",
-    "trial.sound(3)": "leave_out holds 3: give names of channels",
+    "trial.checked(3)": "leave_out holds 3: give names of channels",
     "st.view(trial, host=3)": "host is 3: give an address",
     "st.view(trial, model=3)": "the model is 3: give a fit",
     "st.calibrate(None, 'distal')": "bench is None: give a path",

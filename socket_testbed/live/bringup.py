@@ -418,7 +418,7 @@ def replay_nodes(
         replay: Settings of replay_node; without a namespace, all nodes are in the recorded one.
         estimator: Settings of estimator_node.
     """
-    check_names(estimator.identification, trial.check())
+    check_names(estimator.identification, trial.require_usable())
     namespace = full_namespace(replay.namespace or recorded_namespace(trial))
     calibration = CalibrationNodeSettings(calibration=str(trial.calibration_path.resolve()))
     geometry = str(trial.geometry_path.resolve())

@@ -128,7 +128,7 @@ class TrialFit(Result):
 
     def _samples(self) -> Samples:
         """Samples of the segment without outliers."""
-        return self.trial.sound(self.fit.settings.leave_out)[self.segment.rows]
+        return self.trial.checked(self.fit.settings.leave_out).samples[self.segment.rows]
 
     def to_dataframe(self) -> pd.DataFrame:
         """In-sample errors, a row per channel, indexed by `channel`: such as `Mx`, `distal.Fz`.
@@ -282,7 +282,7 @@ class Evaluation(Result):
 
     def _samples(self) -> Samples:
         """All samples of the trial without outliers."""
-        return self.trial.sound(self.model.settings.leave_out)
+        return self.trial.checked(self.model.settings.leave_out).samples
 
     def _used(self) -> BoolArray:
         """Which samples of the trial are in the span of the model's fit, shape (N,)."""

@@ -261,6 +261,8 @@ class Trial:
     def checked(self, leave_out: str | Sequence[str] | None = None) -> CheckedSamples:
         """The samples, judged once: outliers, findings, noise and force maps; cached.
 
+        Its `samples` are those of the trial with outliers as NaN.
+
         Args:
             leave_out: Channels that are not judged and keep their values, such as `distal.Fz`, or
                 `distal` for all of a cluster; None stands for those of the trial's settings.
@@ -280,14 +282,6 @@ class Trial:
         from socket_testbed.identification.checked import Evidence  # not needed by a replay
 
         return Evidence(self.metadata.mass, self._kept.raw)
-
-    def sound(self, leave_out: str | Sequence[str] = ()) -> Samples:
-        """The samples with outliers as NaN, found in channels that are not left out; cached.
-
-        Left-out channels, such as `distal.Fz` or all of `distal`, are searched for no outliers, and
-        keep their values.
-        """
-        return self.checked(leave_out).samples
 
     def channels(self, names: str | Sequence[str]) -> tuple[str, ...]:
         """The channels of names such as `Mz`, `distal.Fx`, or `distal` for all three of a cluster.
@@ -364,7 +358,7 @@ class Trial:
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
         return measured.without_raw(), samples
 
-    def check(self) -> tuple[str, ...]:
+    def require_usable(self) -> tuple[str, ...]:
         """Refuse an unusable trial before long work or the start of a graph, by its first messages.
 
         Returns:
@@ -478,7 +472,8 @@ class Trial:
             return self._own(segment)
         specification = specification_of(segment)
         limits, leave_out = settings.plateau, settings.identification.leave_out
-        return select_segment(self.sound(leave_out), specification, limits, leave_out, self.events)
+        samples = self.checked(leave_out).samples
+        return select_segment(samples, specification, limits, leave_out, self.events)
 
     def _own(self, segment: Segment) -> Segment:
         """A segment, which must be of this trial."""
@@ -503,7 +498,7 @@ class Trial:
     def plateaus(self, settings: EstimatorSettings) -> list[Segment]:
         """The plateaus by the criteria of some settings, longest first."""
         leave_out = settings.identification.leave_out
-        return find_plateaus(self.sound(leave_out), settings.plateau, leave_out)
+        return find_plateaus(self.checked(leave_out).samples, settings.plateau, leave_out)
 
     @property
     def replaced(self) -> dict[str, Any]:
