@@ -16,7 +16,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test quick test-slow mutants docs setup lint types style benchmark colcon clean
+.PHONY: demo test quick oldest test-slow mutants docs setup lint types style benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
@@ -30,6 +30,14 @@ test: lint
 # No graph, no processes, no long case: while you work.
 quick: setup
 	$(PYTEST) -n 2 -m "not graph and not long and not slow"
+
+# The same in a fresh checkout, with the oldest libraries that requirements/runtime.txt allows.
+oldest: build/oldest.txt
+	PIP_CONSTRAINT=$< $(MAKE) quick
+
+build/oldest.txt: requirements/runtime.txt
+	mkdir -p $(@D)
+	sed -nE 's/^([A-Za-z][A-Za-z0-9.-]*)>=([0-9.]+).*/\1==\2/p' $< > $@
 
 # The rest: packages, the documents' commands, kills, whole reports, real scans, statistics, OpenSim.
 test-slow: setup

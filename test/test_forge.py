@@ -2,11 +2,13 @@
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
 import yaml
 from support import CHECKOUT
+from support.verbs import program
 
 WORKFLOWS = sorted((CHECKOUT / ".github" / "workflows").glob("*.yml"))
 TEMPLATES = sorted((CHECKOUT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
@@ -43,13 +45,26 @@ def test_a_command_exists(command: str) -> None:
 
 
 def test_the_tests_run_on_every_python() -> None:
-    (job,) = read(CHECKOUT / ".github" / "workflows" / "tests.yml")["jobs"].values()
+    job = read(CHECKOUT / ".github" / "workflows" / "tests.yml")["jobs"]["tests"]
     promised = re.search(
         r'python_requires=">=3.(\d+),<3.(\d+)"', (CHECKOUT / "setup.py").read_text()
     )
     versions = [f"3.{minor}" for minor in range(*map(int, promised.groups()))]
     assert job["strategy"]["matrix"]["python"] == versions
     assert [step["run"] for step in job["steps"] if "run" in step] == ["bash .ci/run"]
+
+
+def test_the_oldest_libraries_are_the_lower_bounds(tmp_path: Path) -> None:
+    """Each bound of the requirements, such as `numpy>=1.26,<3`, is one exact version."""
+    shutil.copytree(CHECKOUT / "requirements", tmp_path / "requirements")
+    shutil.copy(CHECKOUT / "Makefile", tmp_path)
+    _, _, errors = program("make", "-C", str(tmp_path), "build/oldest.txt")
+    made = (tmp_path / "build" / "oldest.txt").read_text().splitlines()
+    stated = (CHECKOUT / "requirements" / "runtime.txt").read_text().splitlines()
+    bounds = [re.match(r"[\w.-]+>=[\d.]+", line) for line in stated]
+    assert made == [bound[0].replace(">=", "==") for bound in bounds if bound], errors
+    job = read(CHECKOUT / ".github" / "workflows" / "tests.yml")["jobs"]["oldest"]
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make oldest"]
 
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.stem)
