@@ -212,17 +212,19 @@ def fit_body(reference: FloatArray, observed: FloatArray) -> BodyFit:
                 trial[[i for i, _ in found[0]]] = [label for _, label in found[0]]
                 break
             waiting[frame] = False
-    return _fit_ordered(reference, observed, order)
+    return _fit_ordered(reference, own, observed, order)
 
 
-def _fit_ordered(reference: FloatArray, observed: FloatArray, order: IntArray) -> BodyFit:
+def _fit_ordered(
+    reference: FloatArray, own: FloatArray, observed: FloatArray, order: IntArray
+) -> BodyFit:
     """Fit each frame to the markers in its order; frames with equal markers at once."""
     count = len(observed)
     rotation, translation = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
     residual = np.full(count, np.nan)
-    own = distances(reference)
     named = order >= 0
-    for used in np.unique(named, axis=0):
+    alike = bool((named == named[:1]).all())  # as usual; `unique` takes as long as a fit
+    for used in named[:1] if alike else np.unique(named, axis=0):
         if not _is_unique(reference, own, used):
             continue
         rows = np.flatnonzero((named == used).all(axis=1))
