@@ -12,6 +12,7 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.rotations import compose, quaternions_to_vectors, vectors_to_quaternions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -139,17 +140,8 @@ def turned(rotation: FloatArray, by: FloatArray) -> FloatArray:
         rotation: Rotation vectors, shape (N, 3) [rad]; a row with NaN gives a row of NaN.
         by: Rotation vector that is applied first, shape (3,) [rad].
     """
-    known = np.isfinite(rotation).all(axis=1)
-    found = np.full(rotation.shape, np.nan)
-    if known.any():
-        from scipy.spatial.transform import Rotation  # 15 MB, which not every node needs
-
-        # Linear in the quaternions (x, y, z, w); SciPy's product takes as long as all the rest.
-        x, y, z, w = Rotation.from_rotvec(by).as_quat()
-        onto = np.array([[w, -z, y, -x], [z, w, -x, -y], [-y, x, w, -z], [x, y, z, w]])
-        quaternions = Rotation.from_rotvec(rotation[known]).as_quat() @ onto
-        found[known] = Rotation.from_quat(quaternions).as_rotvec()
-    return found
+    product = compose(vectors_to_quaternions(rotation), vectors_to_quaternions(by))
+    return quaternions_to_vectors(product)
 
 
 def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:

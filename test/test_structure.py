@@ -16,7 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground up: a module imports from its own layer or from those below it.
 LAYERS = (
-    ("arrays", "errors", "clocks", "version"),
+    ("arrays", "errors", "clocks", "rotations", "version"),
     ("cells", "documents", "files", "samples", "tables"),
     ("settings", "geometry"),
     ("alignment", "drivers", "calibration", "identification", "socket_design", "wire"),

@@ -193,6 +193,11 @@ def fit_body(reference: FloatArray, observed: FloatArray) -> BodyFit:
     """
     own = distances(reference)
     count, size = observed.shape[:2]
+    if (np.abs(distances(observed) - own) <= EDGE_TOLERANCE).all():  # as usual: quickly
+        pose = fit_rigid(reference, observed)
+        residual = _residuals(reference, observed, pose)
+        if (residual <= EDGE_TOLERANCE).all():
+            return BodyFit(pose, residual, np.tile(np.arange(size), (count, 1)))
     order = np.full((count, size), -1)
     seen = np.isfinite(observed).all(axis=2).sum(axis=1)
     waiting = seen >= MIN_MARKERS
@@ -228,7 +233,7 @@ def _fit_ordered(reference: FloatArray, observed: FloatArray, order: IntArray) -
         rows = np.flatnonzero((named == used).all(axis=1))
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
         pose = fit_rigid(reference[used], markers)
-        off = np.sqrt((misfit(reference[used], markers, pose) ** 2).mean(axis=1))
+        off = _residuals(reference[used], markers, pose)
         # Mirrored markers have correct distances; three of a larger set easily agree by chance.
         is_subset = used.sum() == MIN_MARKERS < len(used)
         fits = off <= (_TIGHT if is_subset else 1.0) * EDGE_TOLERANCE
@@ -237,6 +242,11 @@ def _fit_ordered(reference: FloatArray, observed: FloatArray, order: IntArray) -
         residual[rows] = off[fits]
     order = np.where(np.isfinite(residual)[:, None], order, -1)
     return BodyFit(Pose(rotation, translation), residual, order)
+
+
+def _residuals(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
+    """RMS distance of observed points from those placed by the poses, shape (N,) [m]."""
+    return np.asarray(np.sqrt((misfit(points, observed, pose) ** 2).mean(axis=1)))
 
 
 def _is_unique(reference: FloatArray, own: FloatArray, used: BoolArray) -> bool:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, FieldError
+from socket_testbed.rotations import (
+    compose,
+    inverted,
+    matrices_to_quaternions,
+    quaternions_to_matrices,
+    quaternions_to_vectors,
+    vectors_to_quaternions,
+)
 
 
 @dataclass(frozen=True)
@@ -38,13 +44,11 @@ class Pose:
                 (4,) or (N, 4) [-]; one that is not finite or is zero gives a NaN rotation.
         """
         # Scaled by their largest component, so that no square under- or overflows.
-        largest = np.abs(quaternion).max(axis=-1)
+        largest = np.abs(quaternion).max(axis=-1, keepdims=True)
         usable = np.isfinite(largest) & (largest > 0.0)
-        rotation = np.full((*quaternion.shape[:-1], 3, 3), np.nan)
-        if usable.any():
-            scaled = quaternion[usable] / largest[usable][..., None]
-            rotation[usable] = Rotation.from_quat(scaled).as_matrix()
-        return cls(rotation, translation)
+        scaled = np.full(quaternion.shape, np.nan)
+        np.divide(quaternion, largest, out=scaled, where=usable)
+        return cls(quaternions_to_matrices(scaled), translation)
 
     @classmethod
     def from_vector(cls, vector: FloatArray) -> Pose:
@@ -61,19 +65,11 @@ class Pose:
 
     def quaternion(self) -> FloatArray:
         """Quaternions (x, y, z, w), shape (4,) or (N, 4) [-]; NaN if the pose is NaN."""
-        return self._converted(Rotation.as_quat, 4)
+        return matrices_to_quaternions(_orthogonal(self.rotation))
 
     def rotation_vector(self) -> FloatArray:
         """Rotation vectors, shape (3,) or (N, 3) [rad]; NaN if the pose is NaN."""
-        return self._converted(Rotation.as_rotvec, 3)
-
-    def _converted(self, convert: Callable[[Rotation], FloatArray], size: int) -> FloatArray:
-        """Convert the rotations to a form of some size; NaN if the pose is NaN."""
-        usable = np.isfinite(self.rotation).all(axis=(-2, -1))
-        found = np.full((*self.rotation.shape[:-2], size), np.nan)
-        if usable.any():
-            found[usable] = convert(Rotation.from_matrix(_orthogonal(self.rotation[usable])))
-        return found
+        return quaternions_to_vectors(self.quaternion())
 
     def inverse(self) -> Pose:
         """Pose of the frame in the body."""
@@ -103,7 +99,7 @@ def _orthogonal(rotation: FloatArray) -> FloatArray:
     """The rotations nearest to matrices that are rounded, shape (..., 3, 3) [-].
 
     A step of the Newton-Schulz iteration, which squares the error (Higham, Functions of Matrices,
-    2008, section 8.3): scipy takes twenty times as long for matrices that it must make orthogonal.
+    2008, section 8.3).
     """
     gram = np.swapaxes(rotation, -1, -2) @ rotation
     return np.asarray(rotation @ (1.5 * np.eye(3) - 0.5 * gram))
@@ -133,20 +129,17 @@ def weighted_pose(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     # The chordal mean: the quaternion nearest to all, whatever their signs.
     products = np.einsum("...mi,...mj->...ij", quaternions, quaternions)
     mean = np.linalg.eigh(products)[1][..., -1]
-    flat = Rotation.from_quat(mean.reshape(-1, 4))
-    number = weights.shape[-1]
     quaternions[~counts] = [0.0, 0.0, 0.0, 1.0]
-    own = Rotation.from_quat(quaternions.reshape(-1, 4))
-    every = Rotation.from_quat(np.repeat(flat.as_quat(), number, axis=0))
-    turns = (every.inv() * own).as_rotvec().reshape(*weights.shape, 3)
-    turn = np.einsum("...m,...mi->...i", weights, turns).reshape(-1, 3)
-    rotation = (flat * Rotation.from_rotvec(turn)).as_quat().reshape(*weights.shape[:-1], 4)
+    turns = quaternions_to_vectors(compose(inverted(mean)[..., None, :], quaternions))
+    turn = np.einsum("...m,...mi->...i", weights, turns)
+    rotation = compose(mean, vectors_to_quaternions(turn))
     return np.concatenate([position, rotation], axis=-1)
 
 
 def about_z(angle: float) -> FloatArray:
     """Rotation about z by an angle [rad], shape (3, 3) [-]."""
-    return np.asarray(Rotation.from_euler("z", angle).as_matrix())
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 _TOLERANCE = 1e-6  # [-]; files have at least seven digits

@@ -650,7 +650,10 @@ class ContactModel:
         A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad];
         the paper's variants use the position only. NaN where a pose is NaN.
         """
-        springs = self._springs(self.law.motion(pose))
+        return self._forces(self._springs(self.law.motion(pose)))
+
+    def _forces(self, springs: FloatArray) -> FloatArray:
+        """Forces at the n points in {S}, (N, n, 3) [N], of springs, (N, 3, n) [N]."""
         forces = np.einsum("nab,tbn->tna", self.law.frames, springs)
         for name, bias in self.force_bias.items():
             point = self.cluster_points[name]
@@ -678,6 +681,26 @@ class ContactModel:
             return self.of_wrench.predict(pose, stamps, trail)
         motion = self.law.motion(pose)
         return self._bed_wrench(motion, self._springs(motion))
+
+    def wrench_and_forces(
+        self, pose: FloatArray, stamps: IntArray, trail: PoseTrail | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """What `wrench` and `forces` return, at little more than the cost of one.
+
+        Args:
+            pose: Poses of the limb: position q and rotation vector in {S}, shape (N, 6) [m, rad].
+            stamps: Times of the poses since the epoch, ascending, shape (N,) [ns].
+            trail: What went before, which the poses are added to; None for nothing.
+
+        Returns:
+            Wrenches [M; F] in {S}, shape (N, 6) [N m, N], and forces at the n points of interest in
+            {S}, shape (N, n, 3) [N].
+        """
+        motion = self.law.motion(pose)
+        springs = self._springs(motion)
+        if self.of_wrench is not None:
+            return self.of_wrench.predict(pose, stamps, trail), self._forces(springs)
+        return self._bed_wrench(motion, springs), self._forces(springs)
 
     def offsets(self, motion: FloatArray) -> FloatArray:
         """Offsets of the wrench [M; F] in {S} that add to the springs, (N, 6) or (6,) [N m, N].

@@ -525,14 +525,23 @@ class ForceMap:
 
         Ignores channels without a value and clusters whose status is not OK.
         """
+        values, present = self._weigh(sample)
+        belief = _Belief(probabilities(self._evidence), np.zeros(0))
+        return self._estimate(values, present, belief)
+
+    def learn(self, sample: Samples) -> None:
+        """Let one live sample update the hypotheses' weights as `update` does, without its map."""
+        self._weigh(sample)
+
+    def _weigh(self, sample: Samples) -> tuple[FloatArray, BoolArray]:
+        """Update the hypotheses' weights by one live sample; returns its `_channels`."""
         values, present = _channels(sample)
         if present.any():
             conditioned = self._conditioned(present[0].tobytes())
             found = conditioned.log_evidence(values[:, conditioned.present])[0]
             self._evidence_count = min(self._evidence_count + 1, _EVIDENCE_MEMORY)
             self._evidence += (found - self._evidence) / self._evidence_count
-        belief = _Belief(probabilities(self._evidence), np.zeros(0))
-        return self._estimate(values, present, belief)
+        return values, present
 
     def _mean_evidence(self, samples: Samples) -> FloatArray:
         """Log evidence of the hypotheses, averaged over the samples, shape (M,) [-]."""

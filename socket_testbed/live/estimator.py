@@ -120,10 +120,15 @@ class OnlineMap:
         self.count = 0
         self.places = all_regions(geometry)
 
-    def update(self, sample: Samples) -> MapEstimate:
+    def update(self, sample: Samples, wanted: bool = True) -> MapEstimate | None:
         """The map of one sample, with N = 1; needs no pose.
 
         Of the rules for outliers, one sample shows the limits of a person alone.
+
+        Args:
+            sample: The sample, with N = 1.
+            wanted: Whether its map is wanted; otherwise it only counts for the maps after it, and
+                None is returned.
         """
         settings = self._settings()
         if settings.force_map != self._prior:
@@ -132,6 +137,9 @@ class OnlineMap:
         usable = np.abs(sample.values) <= self._limits
         usable &= sample.counted(settings.identification.leave_out)
         self._newest = sample.blanked(~usable)
+        if not wanted:
+            self._map.learn(self._newest)
+            return None
         self.count += 1
         return self._map.update(self._newest)
 
@@ -151,7 +159,8 @@ class Estimates(NamedTuple):
     """The estimates that a measurement completes, if any.
 
     Attributes:
-        force_map: Forces on all tiles, with N = 1; None unless clusters and wrench are complete.
+        force_map: Forces on all tiles, with N = 1; None unless clusters and wrench are complete and
+            the map is wanted.
         wrench: Predicted wrench of the limb on the socket, [M; F] in {S}, shape (6,) [N m, N]; None
             unless the sample is complete and a model exists.
         forces: Predicted force of the limb on each of the n tiles in {S}, shape (n, 3) [N]; None
@@ -174,6 +183,7 @@ class OnlineEstimator:
         settings: Returns the current settings, which may change at any time.
         fitter: The process that fits.
         notify: Called with each new model: a fit, in a thread of the fitter, or a loaded one.
+        map_wanted: Whether anybody wants the map of the present sample.
 
     Attributes:
         map: Maps the forces on all tiles.
@@ -187,11 +197,13 @@ class OnlineEstimator:
         settings: Callable[[], EstimatorSettings],
         fitter: FitWorker,
         notify: Callable[[FittedModel], None],
+        map_wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         self._geometry = geometry
         self._settings = settings
         self._fitter = fitter
         self._notify = notify
+        self._map_wanted = map_wanted
         self._clusters = tuple(geometry.clusters)
         self._window = SampleWindow(settings().window.duration)
         self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()  # incomplete, by stamp
@@ -266,8 +278,8 @@ class OnlineEstimator:
                 (x, y, z, w) of the marker body in the world, shape (7,).
 
         Returns:
-            The map if this completes the clusters and the wrench; the prediction if it completes
-            the sample and a model exists.
+            The map if this completes the clusters and the wrench and it is wanted; the prediction
+            if it completes the sample and a model exists.
         """
         measured = self._open.setdefault(stamp, {})
         measured[topic] = cluster_forces(self._geometry, value) if topic is STRESS else value
@@ -275,7 +287,7 @@ class OnlineEstimator:
         complete = len(measured) == len(MEASURED)
         if mapped or complete:
             sample = self._sample(stamp, measured)
-        force_map = self.map.update(sample) if mapped else None
+        force_map = self.map.update(sample, self._map_wanted()) if mapped else None
         if complete:
             del self._open[stamp]
             estimates = Estimates(force_map, *self._predict(sample))
@@ -325,8 +337,8 @@ class OnlineEstimator:
         if model is None:
             return None, None
         self._counts["predictions"] += 1
-        wrench = model.wrench(sample.pose, sample.stamps, self._trail)
-        return wrench[0], model.forces(sample.pose)[0]
+        wrench, forces = model.wrench_and_forces(sample.pose, sample.stamps, self._trail)
+        return wrench[0], forces[0]
 
     def _keep(self, sample: Samples) -> None:
         """Keep a complete sample; start a fit and a data check when due."""

@@ -173,10 +173,10 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], Any]:
         return lambda: open_spi(settings.device, settings.spi_clock)
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
-    period = conversion_period(settings.clock_in, settings.oversampling)
+    per_conversion = conversion_period(settings.clock_in, settings.oversampling) ** -0.5
 
     def noise() -> FloatArray:
-        return rng.normal(0.0, world.wrench_noise / np.sqrt(period))
+        return rng.standard_normal(6) * world.wrench_noise * per_conversion
 
     chip = simulated_load_cell(world.wrench, settings, world.faults, noise=noise)
     return lambda: chip

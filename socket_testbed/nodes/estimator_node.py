@@ -4,9 +4,9 @@ Subscribes: trigger, clusters/stress, load_cell/wrench, mocap/socket/pose, mocap
 Publishes: estimate/force_map, estimate/wrench, estimate/local_forces, estimate/parameters
 (latched), estimate/pressure_map, estimate/regions, /diagnostics. Service: estimator/fit.
 
-It maps the forces on all tiles as soon as the clusters and the wrench of a trigger have arrived. It
-predicts every synchronised sample with the newest model. It fits a model on its window once enough
-steady data has arrived, or on request, in a separate process.
+It maps the forces on all tiles as soon as the clusters and the wrench of a trigger have arrived, if
+anybody subscribes to a map. It predicts every synchronised sample with the newest model. It fits a
+model on its window once enough steady data has arrived, or on request, in a separate process.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
     [Pa]; load_cell/wrench in {S} [N, N m]; mocap/socket/pose and mocap/pylon/pose of the marker
     bodies in the world [m].
 
-    Publishes, with the stamp of the trigger and in the frame load_cell, {S}:
+    Publishes, with the stamp of the trigger and in the frame load_cell, {S}, the maps only while
+    anybody subscribes:
 
     - estimate/force_map: forces of the limb on all tiles and their standard deviations [N], normal
       pressure and shear [Pa];
@@ -77,13 +78,15 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             lambda: self.settings,
             self._worker,
             self.sender(topics.PARAMETERS, messages.model_message),
+            self._map_wanted,
         )
         self._picture = PressureMap(self._geometry)
         self._last_picture = 0  # [ns]
         names = self._geometry.names
         self._send_wrench = self.sender(topics.ESTIMATED_WRENCH, messages.wrench_packer())
         self._send_forces = self.sender(topics.LOCAL_FORCES, messages.local_forces_packer(names))
-        self._send_map = self.sender(topics.FORCE_MAP, messages.force_map_packer(names))
+        self._force_map = self.advertise(topics.FORCE_MAP)
+        self._pack_map = messages.force_map_packer(names)
         self._pressure_map = self.advertise(topics.PRESSURE_MAP)
         self._regions = self.advertise(topics.REGIONS)
         self._pack_regions = messages.regions_packer(
@@ -130,9 +133,15 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._send_wrench(stamp, wrench)
             self._send_forces(stamp, forces)
 
+    def _map_wanted(self) -> bool:
+        """Whether anybody subscribes to the maps; they take a fifth of the node's time."""
+        maps = (self._force_map, self._pressure_map, self._regions)
+        return any(publisher.get_subscription_count() > 0 for publisher in maps)
+
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
         """Publish a map with N = 1 at a stamp [ns], and, when due, its picture and its regions."""
-        self._send_map(stamp, estimate)
+        if self._force_map.get_subscription_count() > 0:
+            self._force_map.publish(self._pack_map(stamp, estimate))
         due = abs(stamp - self._last_picture) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
             self._last_picture = stamp

@@ -676,6 +676,50 @@ def test_a_pause_leaves_no_wrong_time() -> None:
     assert times.conversion_end(1.0607) is None
 
 
+def test_what_is_known_of_the_phase_bounds_a_pause() -> None:
+    """Read just before the fourth conversion ends, the second and third still wait."""
+    times, first = ConversionClock(CONVERSION), 1.0
+    times.nothing_waits(first - 0.01 * CONVERSION, first - 0.01 * CONVERSION)
+    assert times.conversion_end(first + 0.05 * CONVERSION) == pytest.approx(first, abs=1e-4)
+    times.nothing_waits(first + 0.06 * CONVERSION, first + 0.06 * CONVERSION)
+    read = first + 2.9 * CONVERSION
+    for number in (1, 2):
+        end = first + number * CONVERSION
+        assert times.conversion_end(read) == pytest.approx(end, abs=0.1 * CONVERSION)
+    assert times.conversion_end(first + 6.0 * CONVERSION) is None
+
+
+def test_contradictory_bounds_are_forgotten() -> None:
+    """The chip converts 2 % faster than its settings say."""
+    times, read = ConversionClock(CONVERSION), 1.0
+    times.nothing_waits(read - 1e-6, read - 1e-6)
+    dated = 0
+    for _ in range(200):
+        read += 0.98 * CONVERSION
+        end = times.conversion_end(read + 1e-6)
+        assert end is None or end == pytest.approx(read, abs=0.51 * CONVERSION)
+        dated += end is not None
+        times.nothing_waits(read + 1e-6, read + 1e-6)
+    assert dated > 100
+
+
+def test_polls_follow_the_conversions(clock: FakeClock) -> None:
+    """A poll soon after each conversion, with little more than one frame: wakes cost the most."""
+    converter = Bench().converter
+    polled: list[float] = []
+    frames = Mock(wraps=converter.connect()._spi.xfer2)
+    converter.connect()._spi.xfer2 = frames
+    converter.poll_until(lambda: clock.now > BEGIN + 4.0, lambda: polled.append(clock.now))
+    conversions = converter.counts()["conversions"]
+    assert conversions >= 4.0 / CONVERSION - 10
+    assert len(polled) < 1.05 * conversions
+    assert frames.call_count < 1.1 * conversions
+    ends = np.array(converter._times[500:]) + converter.end_time(0.0)
+    after = np.searchsorted(ends, polled[600:-5], side="right") - 1
+    behind = polled[600:-5] - ends[after]
+    assert np.quantile(behind, 0.95) < 0.3 * CONVERSION
+
+
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Mock]:
     """The SPI device that is opened."""

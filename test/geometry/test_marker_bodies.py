@@ -81,6 +81,21 @@ def test_the_pose_is_that_of_least_squares(rng, size: int):
         assert fit.residual[k] == pytest.approx(distance / math.sqrt(seen.sum()), rel=1e-6)
 
 
+@EVERY_SIZE
+def test_complete_frames_have_the_same_poses_alone_as_among_others(rng, size: int):
+    """Frames as usual take a shorter way than those beside an occluded one."""
+    body = body_of(size)
+    seen = observe(body, random_pose(rng, count=COUNT), rng)
+    hidden = np.full((1, size, 3), np.nan)
+    alone, among = fit_body(body, seen), fit_body(body, np.concatenate([seen, hidden]))
+    assert among.found.tolist() == [True] * COUNT + [False] and alone.found.all()
+    np.testing.assert_array_equal(alone.order, among.order[:-1])
+    np.testing.assert_allclose(alone.residual, among.residual[:-1], rtol=1e-12)
+    np.testing.assert_allclose(alone.pose.rotation, among.pose.rotation[:-1], atol=1e-15)
+    np.testing.assert_allclose(alone.pose.translation, among.pose.translation[:-1], atol=1e-15)
+    assert len(fit_body(body, seen[:0]).order) == 0
+
+
 @pytest.mark.parametrize("hidden", [0, 1], ids=["all-seen", "one-occluded"])
 @EVERY_SIZE
 def test_labels_in_any_order_are_put_right(rng, size: int, hidden: int):

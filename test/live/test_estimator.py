@@ -124,6 +124,16 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
 # --- measurements by stamp, and the window
 
 
+@pytest.mark.parametrize("separate", [True, False], ids=["predictor", "springs"])
+def test_wrench_and_forces_are_those_of_the_model(fit: Fit, trial: Trial, separate: bool) -> None:
+    model, samples = fit.model, trial.samples()[:20]
+    assert model.of_wrench is not None and model.force_bias
+    model = model if separate else dataclasses.replace(model, of_wrench=None)
+    wrench, forces = model.wrench_and_forces(samples.pose, samples.stamps, None)
+    np.testing.assert_array_equal(wrench, model.wrench(samples.pose, samples.stamps))
+    np.testing.assert_array_equal(forces, model.forces(samples.pose))
+
+
 def test_a_window_holds_the_newest_samples_by_stamp() -> None:
     window, pose = estimator.SampleWindow(duration=3.0), np.zeros((1, 3))
     stamps = [round(k * 1e7 * (1.0 + (k > 700))) for k in range(2000)]  # 100 Hz, then 50 Hz
@@ -221,7 +231,9 @@ class LiveMap:
         self.map = estimator.OnlineMap(trial.geometry, lambda: self.settings)
 
     def update(self, **values: Any) -> MapEstimate:
-        return self.map.update(dataclasses.replace(self.sample, **values))
+        found = self.map.update(dataclasses.replace(self.sample, **values))
+        assert found is not None
+        return found
 
     def check(self, found: MapEstimate, prior: ForceMapSettings = PRIOR, **values: Any) -> None:
         usual = ForceMap(self.geometry, self.sample.clusters, prior)
@@ -251,6 +263,20 @@ def test_a_channel_that_is_left_out_is_unmapped(live: LiveMap) -> None:
     prior = dataclasses.replace(PRIOR, length=0.1)
     live.settings = EstimatorSettings(identification=left_out, force_map=prior)
     live.check(live.update(), prior, local_forces=forces)
+
+
+def test_a_sample_whose_map_nobody_wants_counts_for_later_maps(live: LiveMap) -> None:
+    """The next map and the outputs are those after both samples."""
+    usual = ForceMap(live.geometry, live.sample.clusters, PRIOR)
+    usual.update(live.sample)
+    other = dataclasses.replace(live.sample, wrench=0.5 * live.sample.wrench)
+    assert live.map.update(live.sample, wanted=False) is None
+    assert live.map.outputs() is not None and live.map.count == 0
+    found = live.update(wrench=other.wrench)
+    for name, own in vars(usual.update(other)).items():
+        np.testing.assert_equal(getattr(found, name), own, err_msg=name)
+    alone = ForceMap(live.geometry, live.sample.clusters, PRIOR).update(other)
+    assert not np.array_equal(alone.forces, found.forces)
 
 
 def test_a_sample_of_nothing_has_no_outputs(live: LiveMap) -> None:

@@ -78,8 +78,10 @@ def fit(number: int) -> Any:
         variant="rigid_bias",
         stiffness=np.zeros((12, 3)),
         trail=lambda: None,
-        wrench=lambda pose, stamps, trail: np.ones((len(pose), 6)),
-        forces=lambda pose: np.full((len(pose), 12, 3), 2.0),
+        wrench_and_forces=lambda pose, stamps, trail: (
+            np.ones((len(pose), 6)),
+            np.full((len(pose), 12, 3), 2.0),
+        ),
     )
     stamp = scene.START + number * TENTH
     return SimpleNamespace(model=model, samples=12, determined=30.0, last_stamp=stamp)

@@ -102,8 +102,10 @@ def test_a_refit_waits_for_new_samples(every: int, samples: int, fits: int, work
         variant="rigid_bias",
         stiffness=np.zeros((12, 3)),
         trail=lambda: None,
-        wrench=lambda pose, stamps, trail: np.ones((len(pose), 6)),
-        forces=lambda pose: np.full((len(pose), 12, 3), 2.0),
+        wrench_and_forces=lambda pose, stamps, trail: (
+            np.ones((len(pose), 6)),
+            np.full((len(pose), 12, 3), 2.0),
+        ),
     )
     fit = SimpleNamespace(model=model, samples=12, determined=30.0, last_stamp=scene.START)
     worker.asked["fit_samples"].set_result(Refit(fit))  # type: ignore[arg-type]

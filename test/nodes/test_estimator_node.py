@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import scene
-from support.nodes import Maker, running_ros
+from support.nodes import Catcher, Maker, running_ros
 
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.nodes import estimator_node
@@ -95,6 +95,22 @@ def test_pictures_and_regions_are_sent_less_often(
     assert make.sent["estimate/wrench"] == []
     stamps = [m.header.stamp.nanosec for m in make.sent["estimate/regions"]]
     assert stamps == [0, 500_000_000, 0]
+
+
+def test_maps_are_made_for_subscribers_alone(
+    node: estimator_node.EstimatorNode, make: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Catcher, "get_subscription_count", lambda self: 0)
+    measure(node, scene.START, poses=True)
+    assert make.sent["estimate/force_map"] == [] and node.figures()["maps"] == 0
+    assert len(make.sent["estimate/wrench"]) == 1
+    of_pictures = {"estimate/pressure_map"}
+    monkeypatch.setattr(
+        Catcher, "get_subscription_count", lambda self: self.topic_name in of_pictures
+    )
+    measure(node, scene.START + PERIOD)
+    assert len(make.sent["estimate/pressure_map"]) == node.figures()["maps"] == 1
+    assert make.sent["estimate/force_map"] == make.sent["estimate/regions"] == []
 
 
 def test_a_picture_s_markers_vanish_after_three_seconds(

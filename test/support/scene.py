@@ -235,6 +235,9 @@ class HandMap:
             )
         )  # one standard deviation, in the tiles' frames [N]
 
+    def learn(self, sample: Samples) -> None:
+        """Nothing: its errors are given."""
+
     def estimate(self, samples: Samples) -> MapEstimate:
         """The forces in {S} and what follows from them in a tile's frame."""
         forces = forces_in_tiles(samples.stamps)

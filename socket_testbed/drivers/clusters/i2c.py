@@ -15,6 +15,7 @@ from socket_testbed.errors import DeviceError
 
 INPUTS = 4  # per chip
 
+_REGISTER_SIZE = 2  # [bytes]
 _I2C_TIMEOUT = 0x0702  # request of linux/i2c-dev.h
 _TIMEOUT_UNIT = 0.01  # [s]
 
@@ -139,6 +140,9 @@ class I2cPort:
         self._address = address
         self._part = part
         self._hung = False  # at the last access
+        # Messages of ctypes take longer to make than to transfer, so they are kept.
+        self._pointers: dict[int, i2c_msg] = {}  # writes of a register's number
+        self._answer = i2c_msg.read(address, _REGISTER_SIZE)
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:
@@ -168,9 +172,11 @@ class I2cPort:
         self._with_second_try(lambda: self._bus.i2c_rdwr(message))
 
     def _read_once(self, register: int) -> int:
-        answer = i2c_msg.read(self._address, 2)
-        self._bus.i2c_rdwr(i2c_msg.write(self._address, [register]), answer)
-        return int.from_bytes(answer.buf[:2], "big")
+        pointer = self._pointers.get(register)
+        if pointer is None:
+            pointer = self._pointers[register] = i2c_msg.write(self._address, [register])
+        self._bus.i2c_rdwr(pointer, self._answer)
+        return int.from_bytes(self._answer.buf[:_REGISTER_SIZE], "big")
 
     def _with_second_try(self, access: Callable[[], T]) -> T:
         """Access the chip, at once a second time if a transfer fails.

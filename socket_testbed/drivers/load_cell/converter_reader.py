@@ -25,7 +25,9 @@ _MAX_FRAMES = 8  # read in a row; two conversions can wait, and frames can be co
 _MAX_READ_TIME = 0.25  # periods; normally a frame takes less
 _SILENCE_TIMEOUT = 0.1  # [s] without a conversion
 _HISTORY = MAX_TARE + 1.0  # [s]
-_MAX_PAUSE = 1.95  # periods; the converter would lose a third conversion
+_MAX_PAUSE = 1.95  # periods after the first waiting conversion; a third one would be lost
+_CLOCK_ERROR = 2e-3  # of the period; of the converter's clock relative to the steady clock
+_POLL_MARGIN = 0.1  # periods; of a poll after the end of a conversion
 _FIFO_SIZE = 2  # conversions
 _MAX_ATTEMPTS = 5  # to empty the FIFO without an edge in between
 _MAX_ROWS = 200_000
@@ -35,22 +37,36 @@ _CHECK_CLOCK = "check the converter's clock and its supply"
 class ConversionClock:
     """Infers the end times of conversions from the times when frames were read.
 
-    A frame without new data means that no conversion was waiting. The next conversion then ends
-    within one period, and before the frame that returns it. Conversions are equally spaced by the
-    `period` [s], so their combined bounds are much tighter than the polling interval. All times are
-    on the steady clock.
+    A frame without new data means that no conversion was waiting: the next one ends later, within
+    one period. A frame with new data means that its conversion had ended. Conversions are equally
+    spaced by the `period` [s], so all these bounds hold for the next conversion as well, and
+    together they are much tighter than the polling interval. All times are on the steady clock.
     """
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._empty: float | None = None
+        # Earliest and latest end of the next conversion to be read; None if it cannot be told
+        # which one that will be.
+        self._bounds: tuple[float, float] | None = None
         self._last: float | None = None
-        self._waiting = 0  # conversions read since the FIFO was empty
         self._continuous = False
+
+    @property
+    def earliest(self) -> float | None:
+        """Time until which the next conversion has not ended [s]; None if unknown."""
+        return self._bounds and self._bounds[0]
+
+    @property
+    def expected(self) -> float | None:
+        """When the next conversion is expected to have ended [s]; None if unknown.
+
+        Reading a little earlier or later than it ends is what keeps its bounds close.
+        """
+        return self._bounds and 0.5 * sum(self._bounds) + _POLL_MARGIN * self._period
 
     def lose(self) -> None:
         """Lose track, after a lost frame or an unknown delay, until the FIFO is empty."""
-        self._empty = None
+        self._bounds = None
         self._continuous = False
 
     def nothing_waits(self, begin: float, read: float) -> None:
@@ -58,37 +74,41 @@ class ConversionClock:
 
         Args:
             begin: Time before the frame was read [s].
-            read: Time after it was read [s]; if it took a quarter of a period or longer, track is
-                lost.
+            read: Time after it was read [s]; if it took a quarter of a period or longer, that alone
+                does not tell which conversion is the next.
         """
-        if read - begin >= _MAX_READ_TIME * self._period:  # delayed: too uncertain
-            self.lose()
-        else:
-            self._empty = begin
-            self._waiting = 0
+        low, high = self._bounds or (begin, math.inf)
+        if begin > high:  # conversions had paused
+            low, high, self._last = begin, math.inf, None
+        elif self._bounds is None and read - begin >= _MAX_READ_TIME * self._period:
+            return
+        self._bounds = max(low, begin), min(high, read + self._period)
 
     def conversion_end(self, read: float) -> float | None:
         """End time [s] of the conversion in a new frame, from the time after it was read [s].
 
         None if the conversion cannot be identified.
         """
-        if self._empty is None:
+        if self._bounds is None:
             return None
-        if read - self._empty > (self._waiting + _MAX_PAUSE) * self._period:
+        low, high = self._bounds
+        high = min(high, read)
+        if high < low:  # the converter is faster than it should be
+            self._last = None
+        if high < low or read - low > _MAX_PAUSE * self._period:
             self.lose()
             return None
-        low = self._empty + self._waiting * self._period
-        high = min(read, low + self._period)
         end = middle = 0.5 * (low + high)
         if self._last is not None:
             # One period after the last; if some were lost, the number closest to the middle.
             steps = 1 if self._continuous else round((middle - self._last) / self._period)
             end = self._last + self._period * steps
-            if abs(end - middle) > self._period:  # conversions had paused
-                end = middle
         self._last = min(max(end, low), high)
-        self._waiting += 1
         self._continuous = True
+        self._bounds = (
+            low + (1.0 - _CLOCK_ERROR) * self._period,
+            high + (1.0 + _CLOCK_ERROR) * self._period,
+        )
         return self._last
 
 
@@ -154,7 +174,7 @@ class ConverterReader:
     def poll_until(
         self, stopped: Callable[[], bool], polled: Callable[[], None] = lambda: None
     ) -> None:
-        """Poll at the converter's own rate until stopped.
+        """Poll at the converter's own rate, soon after each conversion, until stopped.
 
         Args:
             stopped: Whether to stop; asked before each poll.
@@ -165,6 +185,8 @@ class ConverterReader:
             self.poll()
             polled()
             due = max(due + self.period, clocks.monotonic() - self.period)
+            if self._line is None and self._converter is not None:
+                due = self._ends.expected or due
             clocks.sleep(max(0.0, due - clocks.monotonic()))
 
     def poll(self) -> None:
@@ -307,6 +329,11 @@ class ConverterReader:
                     self._emptied = begin
                 break
             self._take(frame, self._ends.conversion_end(self._matched))
+            following = self._ends.earliest
+            if following is not None and clocks.monotonic() < following:  # nothing waits
+                with self._lock:
+                    self._emptied = following
+                break
         self._expect_conversions()
 
     def _read(

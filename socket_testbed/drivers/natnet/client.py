@@ -9,8 +9,9 @@ import math
 import re
 import threading
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import takewhile
 from typing import TypeAlias
 
 from socket_testbed import clocks
@@ -87,8 +88,12 @@ class LinkStatistics:
     def rate(self, now: float) -> float:
         """Rate of delivered frames in the second before a time of the steady clock [s], in Hz."""
         with self._lock:
-            times = [at for at, kind, _ in self._events if kind == _FRAMES and at > now - _SPAN]
-        return (len(times) - 1) / max(times[-1] - times[0], 1e-6) if len(times) > 1 else 0.0
+            times = [at for at, kind, _ in self._since(now - _SPAN) if kind == _FRAMES]
+        return (len(times) - 1) / max(times[0] - times[-1], 1e-6) if len(times) > 1 else 0.0
+
+    def _since(self, start: float) -> Iterator[tuple[float, str, int]]:
+        """The events after a time [s], the newest first; needs the lock."""
+        return takewhile(lambda event: event[0] > start, reversed(self._events))
 
     def warning(self, now: float) -> str:
         """Faults in the 0.8 s before a time of the steady clock [s], in one line.
@@ -97,8 +102,8 @@ class LinkStatistics:
         """
         counts: Counter[str] = Counter()
         with self._lock:
-            for at, kind, number in self._events:
-                counts[kind] += number if at > now - RECENT else 0
+            for _, kind, number in self._since(now - RECENT):
+                counts[kind] += number
         found = [f"{counts[kind]} {kind.replace('_', ' ')}" for kind in _FAULTS if counts[kind]]
         last = f" (the last: {self._last_error})" if counts[_BAD] or counts[_FAILED] else ""
         return ", ".join(found) + last

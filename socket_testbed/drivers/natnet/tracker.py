@@ -10,7 +10,6 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
@@ -319,10 +318,8 @@ class _TrackedBody:
 
 def _interpolate(poses: Pose, pair: list[int], weight: float) -> tuple[FloatArray, int]:
     """The vector of a pose between two of N poses, and their number (2)."""
-    start, end = poses.translation[pair]
-    # Shoemake 1985, doi:10.1145/325165.325242.
-    between = Slerp([0.0, 1.0], Rotation.from_matrix(poses.rotation[pair]))(weight)
-    return np.hstack([start + weight * (end - start), between.as_quat()]), 2
+    between = weighted_pose(poses.vector[pair], np.array([1.0 - weight, weight]))
+    return between, len(pair)
 
 
 def _mean(

@@ -7,6 +7,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from ctypes import memmove
 from functools import partial, reduce
 from operator import and_
 from types import MappingProxyType
@@ -143,9 +144,11 @@ class SimulatedTca9548a:
 
     def parts_at(self, address: int) -> list[Part]:
         """Chips behind connected channels that match an address, and the multiplexer."""
-        connected = [chip for channel, chip in self.chips.items() if self.mask >> channel & 1]
-        reached = [part for chip in connected for part in chip.parts_at(address)]
-        return [*reached, self] if address == self.address else reached
+        reached: list[Part] = [self] if address == self.address else []
+        for channel, chip in self.chips.items():
+            if self.mask >> channel & 1:
+                reached += chip.parts_at(address)
+        return reached
 
     def write(self, data: bytes) -> None:
         """Set the mask to the last byte of a write."""
@@ -225,18 +228,22 @@ class SimulatedI2cBus:
         return bool(self._gone)
 
     def _carry_out(self, messages: Sequence[i2c_msg]) -> None:
+        parts: list[Part] = []
+        reached = None  # their address
         for message in messages:
-            parts = [part for each in self._parts for part in each.parts_at(message.addr)]
+            if message.addr != reached:
+                reached = message.addr
+                parts = [part for each in self._parts for part in each.parts_at(reached)]
             if not parts:
                 raise no_answer()
+            length = message.len
             if message.flags & _READ:
+                sent = [int.from_bytes(part.read(length)) for part in parts]
                 # On open-drain wires, zeros win.
-                answers = [part.read(message.len) for part in parts]
-                for index, sent in enumerate(zip(*answers, strict=True)):
-                    message.buf[index] = bytes([reduce(and_, sent)])
+                memmove(message.buf, reduce(and_, sent).to_bytes(length), length)
             else:
                 for part in parts:
-                    part.write(bytes(message.buf[: message.len]))
+                    part.write(message.buf[:length])
 
     def close(self) -> None:
         """Close the bus: further transfers fail."""
