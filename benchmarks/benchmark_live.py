@@ -28,7 +28,6 @@ from http.client import HTTPConnection
 from pathlib import Path
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
 import rclpy
@@ -40,7 +39,7 @@ from rclpy.task import Future
 from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
-from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.processes import Graph, GraphNode, graph_environment
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import (
@@ -221,6 +220,7 @@ def main() -> None:
     parser.add_argument("--foreign", action="store_true", help="other drivers, not ours")
     parser.add_argument("--browsers", type=int, help="serve the page, and read it so many times")
     options = parser.parse_args()
+    os.environ |= graph_environment()  # the transports of `run`, without shared memory
     os.environ[BEGINNING] = str(SteadyClock().beginning)
     print(describe_machine(1), f"load {os.getloadavg()[0]:.1f}")
     context = multiprocessing.get_context("spawn")
