@@ -1,4 +1,10 @@
-"""Command-line parser: options from the fields of a verb's call, one-line errors."""
+"""Command-line parser: options from the fields of a verb's call, one-line errors.
+
+It stays with argparse. Of the libraries that derive a command line from types, cyclopts 5 would
+leave 105 lines of our own in place of 135, takes 0.37 s of processor time for `--help` instead of
+0.24 s, rounds whole numbers (`--thetas 3.5`) and loses `--notes "- cut"`; tyro has no public access
+to its errors, and jsonargparse takes 1.4 s for `--help` (tried in November 2026).
+"""
 
 from __future__ import annotations
 
