@@ -29,7 +29,7 @@ from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.samples import Samples, force_magnitude
 
 MIN_LOAD_CHANGE = 15.0  # [N]; standard deviation of the load, to compare other sources with it
-MIN_LOAD = 15.0  # [N]; to compare the clusters with each other
+MIN_COMPARED_LOAD = 15.0  # [N]; to compare the clusters with each other
 REVERSED = -0.2  # [-]; correlation with the load below which a sign is reversed; sound >= 0
 MAX_LAG = 3.5  # [s]; lag between sources; sound <= 2.8 (stiff tissue creeps)
 MAX_POSE_LAG = 0.3  # [s]; of the pose behind the moments; sound <= 0.12
@@ -129,7 +129,7 @@ class Courses:
         borne = finite_quantile(self.pressing.clip(0.0).sum(axis=1), 0.95)
         force = force_magnitude(self.samples.wrench)
         known = bool(np.isfinite(force).any())
-        return known and borne > max(MAX_BORNE * finite_quantile(force, 0.95), MIN_LOAD)
+        return known and borne > max(MAX_BORNE * finite_quantile(force, 0.95), MIN_COMPARED_LOAD)
 
     @cached_property
     def load_shows_others(self) -> bool:

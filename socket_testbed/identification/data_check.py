@@ -25,7 +25,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.channel_check import check_channels
 from socket_testbed.identification.course_check import check_courses, find_drifts
-from socket_testbed.identification.courses import MIN_LOAD
+from socket_testbed.identification.courses import MIN_COMPARED_LOAD
 from socket_testbed.identification.data_finding import (
     LEAST_CHECKED,
     STILL,
@@ -236,7 +236,7 @@ def _disagreements(
     prior_map: Callable[[ForceMapSettings], ForceMap] | None = None,
 ) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
-    loaded = samples[samples.under_load(MIN_LOAD)]
+    loaded = samples[samples.under_load(MIN_COMPARED_LOAD)]
     if not len(loaded):
         return
     compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]

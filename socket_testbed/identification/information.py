@@ -28,7 +28,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.noise import channel_noise, smooth_poses, smoothing_gain
+from socket_testbed.identification.noise import pose_noise, smooth_poses, smoothing_gain
 from socket_testbed.samples import FORCES, MOMENTS, Samples, relative_pose
 
 MIN_SPRING_SHARE = 0.5  # [-]; of the load, carried by the springs
@@ -157,13 +157,13 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
         window: Centred window over which a fit averages the poses, which lowers the noise [s];
             0: not averaged.
     """
-    noise = channel_noise(samples)
-    size = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
-    covariance = replace(noise, pose=size).pose_covariance(smoothing_gain(samples, window))
+    noise = pose_noise(samples)
+    size = np.maximum(np.nan_to_num(noise.deviation, nan=_UNKNOWN_NOISE), _MIN_NOISE)
+    covariance = replace(noise, deviation=size).covariance(smoothing_gain(samples, window))
     pose = smooth_poses(samples.centred(), window).pose[samples.has_pose]
     deviation = pose - pose.mean(axis=0)
     spread = np.sqrt(np.diag(covariance))
-    spread[np.isnan(noise.pose)] = math.nan
+    spread[np.isnan(noise.deviation)] = math.nan
     moved = (deviation**2).mean(axis=0) - np.nan_to_num(spread) ** 2
     motion = np.sqrt(np.maximum(moved, 0.0))
     axis = int(np.abs(proximal_direction(geometry)).argmax())  # of the socket
@@ -220,9 +220,9 @@ def engagement(
     """
     relative = relative_pose(samples.pose, model.reference_pose)
     motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])
-    noise = channel_noise(motion)
-    noise.pose[3:] = np.nan_to_num(noise.pose[3:])  # a constant rotation has none
-    covariance = noise.pose_covariance(smoothing_gain(motion, window))
+    noise = pose_noise(motion)
+    noise.deviation[3:] = np.nan_to_num(noise.deviation[3:])  # a constant rotation has none
+    covariance = noise.covariance(smoothing_gain(motion, window))
     pose = smooth_poses(samples, window).pose
     known = samples.has_pose
     chosen = np.zeros(len(pose), dtype=bool)

@@ -46,6 +46,28 @@ _DEFINITE = 1.0 - 1e-6  # [-]; largest correlation of two components
 
 
 @dataclass(frozen=True)
+class PoseNoise:
+    """Noise of the pose of one sample: position and small rotations about x, y, z of {S}.
+
+    Attributes:
+        deviation: Standard deviations, shape (6,) [m, rad]; NaN where it cannot be estimated.
+        correlation: Correlation of the components, which share markers, shape (6, 6) [-]; the unit
+            matrix if it cannot be estimated.
+    """
+
+    deviation: FloatArray
+    correlation: FloatArray
+
+    def covariance(self, gain: float) -> FloatArray:
+        """Covariance of the noise of averaged poses in {S}, shape (6, 6) [m^2, m rad, rad^2].
+
+        The gain is the share of the variance that averaging leaves, 1 without [-]:
+        see `smoothing_gain`.
+        """
+        return gain * self.correlation * np.outer(self.deviation, self.deviation)
+
+
+@dataclass(frozen=True)
 class ChannelNoise:
     """Standard deviation of the noise of one sample; NaN where it cannot be estimated.
 
@@ -55,27 +77,16 @@ class ChannelNoise:
             (c, 3) [N].
         pose: Noise of the limb's position and of its small rotations about x, y, z of {S}, shape
             (6,) [m, rad].
-        pose_correlation: Correlation of the noise of the pose's components, which share markers,
-            shape (6, 6) [-]; the unit matrix if it cannot be estimated.
     """
 
     wrench: FloatArray
     local_forces: FloatArray
     pose: FloatArray
-    pose_correlation: FloatArray
 
     @property
     def values(self) -> FloatArray:
         """Noise in the order of `Samples.channels`, shape (6 + 3c,) [N m, N]."""
         return np.concatenate([self.wrench, self.local_forces.reshape(-1)])
-
-    def pose_covariance(self, gain: float) -> FloatArray:
-        """Covariance of the noise of averaged poses in {S}, shape (6, 6) [m^2, m rad, rad^2].
-
-        The gain is the share of the variance that averaging leaves, 1 without [-]:
-        see `smoothing_gain`.
-        """
-        return gain * self.pose_correlation * np.outer(self.pose, self.pose)
 
 
 def channel_noise(samples: Samples) -> ChannelNoise:
@@ -84,17 +95,20 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     Forces whose status is not OK are ignored. The noise is NaN for a constant channel or one with
     fewer than `MIN_DIFFERENCES` usable differences.
     """
-    usual = ~gaps(samples.stamps)
-    sensors = deviations(samples.trusted_values, usual)
-    motion = samples.centred().pose
-    pose = deviations(motion, usual)
-    regular = _without_gap(usual)
+    sensors = deviations(samples.trusted_values, ~gaps(samples.stamps))
     return ChannelNoise(
         wrench=sensors[:6],
         local_forces=sensors[6:].reshape(-1, 3),
-        pose=pose,
-        pose_correlation=_correlation(motion, regular, pose),
+        pose=pose_noise(samples).deviation,
     )
+
+
+def pose_noise(samples: Samples) -> PoseNoise:
+    """Estimate the noise of the pose alone, as `channel_noise` does, and its correlation."""
+    usual = ~gaps(samples.stamps)
+    pose = samples.centred().pose
+    deviation = deviations(pose, usual)
+    return PoseNoise(deviation, _correlation(pose, _without_gap(usual), deviation))
 
 
 def deviations(values: FloatArray, usual: BoolArray) -> FloatArray:

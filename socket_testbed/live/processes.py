@@ -266,13 +266,15 @@ class Graph:
         """Keep a process on standby to replace a killed one.
 
         It has imported the node libraries and been discovered, so it takes over at once. A fresh
-        process needs 2 to 5 s: Fast DDS runs discovery every 3 s, and until then sends data for the
-        new process to the shared memory of the killed one.
+        process first imports its libraries and joins ROS (0.5 to 0.8 s). Then 0.8 to 3 s pass until
+        a subscriber has discovered it: Fast DDS announces each process every 3 s. The trigger node
+        also waits until it and the other nodes have discovered each other.
 
-        Measured on a busy machine (two cores with a load of 12, 20 Hz), from the kill of a node to
-        its next message: trigger 1.4 s with a spare process and 6.0 s without, mocap 1.8 and 5.0 s,
-        calibration 1.9 and 4.6 s, clusters 3.3 and 5.2 s, load cell 5.6 and 5.0 s, estimator 6.0
-        and 10.6 s.
+        Measured on two cores with a load of 2 to 5, at 20 Hz, from the kill of a node to its next
+        message, three or four kills each: trigger 0.8 to 1.2 s with a spare process and 3.8 to
+        4.2 s without, clusters 0.3 to 0.4 and 2.0 to 3.9 s, load cell 0.2 to 0.3 and 1.7 to 3.4 s,
+        mocap 0.3 to 0.5 and 2.2 to 4.6 s, calibration 0.2 to 0.3 and 2.2 to 3.2 s, estimator 0.6 to
+        1.6 and 2.1 to 4.2 s.
         """
         self._spare = [SPARE, *_ros_arguments(namespace)]
 

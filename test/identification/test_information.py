@@ -197,6 +197,15 @@ def test_known_noise_comes_back(make):
     np.testing.assert_allclose(found.pose, POSE_NOISE, rtol=0.15)
 
 
+def test_motion_and_engagement_estimate_the_noise_of_the_pose_alone(rng, monkeypatch):
+    bed, samples = bed_with_samples(rng)
+    estimated, estimate = [], noise._deviation
+    monkeypatch.setattr(noise, "_deviation", lambda *of: estimated.append(of) or estimate(*of))
+    information.measure_motion(samples, GEOMETRY)
+    information.engagement(samples, bed)
+    assert len(estimated) == 2 * 6  # components of a pose
+
+
 def test_a_quantised_channel_has_the_noise_of_steps():
     samples = noisy_samples(40)
     slow = np.sin(2.0 * np.pi * samples.time[:, None] / 60.0)

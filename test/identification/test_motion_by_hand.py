@@ -112,11 +112,17 @@ def test_noise_is_in_the_channels_order() -> None:
     found = noise.ChannelNoise(
         wrench=np.arange(6.0),
         local_forces=np.arange(6.0, 12.0).reshape(2, 3),
-        pose=np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]),
-        pose_correlation=np.eye(6) + 0.5 * np.eye(6, k=1) + 0.5 * np.eye(6, k=-1),
+        pose=np.zeros(6),
     )
     assert found.values.tolist() == [*range(12)]
-    covariance = found.pose_covariance(0.25)
+
+
+def test_the_noise_of_averaged_poses_is_correlated() -> None:
+    found = noise.PoseNoise(
+        deviation=np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]),
+        correlation=np.eye(6) + 0.5 * np.eye(6, k=1) + 0.5 * np.eye(6, k=-1),
+    )
+    covariance = found.covariance(0.25)
     assert covariance[:3, :3].tolist() == [[0.25, 0.25, 0.0], [0.25, 1.0, 0.75], [0.0, 0.75, 2.25]]
 
 
