@@ -15,6 +15,11 @@ from typing import Literal, ParamSpec, TypeVar
 from socket_testbed.settings.options import (
     DONNING,
     DONNING_SHARE,
+    OWN_PARAMS,
+    PACKAGED_SOCKET,
+    SCENARIO,
+    SEED,
+    TISSUE,
     CalibrationOptions,
     ComparisonOptions,
     EstimatorOptions,
@@ -150,7 +155,7 @@ class BatchOptions(FolderOptions, OpenOptions):
 class ConfigurationOptions(Options):
     """Files of a live testbed."""
 
-    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
+    geometry: Path | None = option(None, PACKAGED_SOCKET)
     calibration: Path | None = option(None, "a calibration.yaml (default: the package's own)")
     params: Path | None = option(None, "a testbed.yaml with the parameters of the nodes")
 
@@ -160,19 +165,10 @@ class SimulatedOptions(Options, heading="for simulated hardware"):
     """The simulated hardware of a live testbed."""
 
     simulated: bool = option(False, "simulate the hardware at its buses")
-    scenario: Scenario = option(
-        SimulationOptions.scenario,
-        "the load history: static_hold, ramp, multi_direction or protocol",
-    )
+    scenario: Scenario = option(SimulationOptions.scenario, SCENARIO)
     period: float = option(120.0, "period of the scenario [s]")
-    tissue: TissueKind = option(
-        SimulationOptions.tissue,
-        "tissue of the limb: soft like the published experiment's silicone, or stiff",
-    )
-    seed: int = option(
-        SimulationOptions.seed,
-        "seed of the random numbers: of the limb, its load and all errors",
-    )
+    tissue: TissueKind = option(SimulationOptions.tissue, TISSUE)
+    seed: int = option(SimulationOptions.seed, SEED)
     donning: int | None = option(SimulationOptions.donning, DONNING, metavar="SEED")
     donning_share: float = option(SimulationOptions.donning_share, DONNING_SHARE)
     fault: Iterable[str] = several(
@@ -525,7 +521,7 @@ class Replay(
     paused: bool = option(False, "start paused; the space bar continues")
     estimate: bool = option(False, "also run the calibration and estimator nodes")
     model: Path | None = option(None, _PREDICTING, metavar="MODEL")
-    params: Path | None = option(None, "a testbed.yaml to use instead of the trial's own")
+    params: Path | None = option(None, OWN_PARAMS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,10 @@ Side = Literal["left", "right"]
 Scenario = Literal["static_hold", "ramp", "multi_direction", "protocol"]
 TissueKind = Literal["soft", "stiff"]
 
+SCENARIO = "the load history: static_hold, ramp, multi_direction or protocol"
+TISSUE = "tissue of the limb: soft like the published experiment's silicone, or stiff"
+SEED = "seed of the random numbers: of the limb, its load and all errors"
+PACKAGED_SOCKET = "a socket.yaml (default: the package's own)"
 DONNING = (
     "put the limb of this seed on again: seed of the donning, with other load, sensors and errors"
     " (default: the nominal donning)"
@@ -152,9 +156,11 @@ _SEGMENT = (
     " events, such as event:placed+5:removed-2, with event labels, push#2 for the second push, or"
     " seconds at either end"
 )
-_OWN_PARAMS = "a testbed.yaml to use instead of the trial's own"
+OWN_PARAMS = "a testbed.yaml to use instead of the trial's own"
 _PARAMS_OF_EACH = "a testbed.yaml to use instead of each trial's own"
-_PARAMS_OF_MAP = f"{_OWN_PARAMS}; its group force_map sets the prior"
+_THRESHOLD = "pressure above which a tile is in contact [kPa]"
+_KEEP_OUT = "regions and tiles excluded from proposals, such as anterior proximal"
+_PARAMS_OF_MAP = f"{OWN_PARAMS}; its group force_map sets the prior"
 
 
 def segment_option(default: str) -> Any:
@@ -255,7 +261,7 @@ class PartOptions(Options):
     """The part of a trial that is used, and its settings."""
 
     segment: str = segment_option("plateau")
-    params: Path | None = option(None, _OWN_PARAMS)
+    params: Path | None = option(None, OWN_PARAMS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,7 +341,7 @@ class MapOptions(PriorOptions):
 class PressureOptions(MapOptions):
     """Options of `st.pressure`."""
 
-    threshold: float = option(5.0, "pressure above which a tile is in contact [kPa]")
+    threshold: float = option(5.0, _THRESHOLD)
     share: float = option(
         0.5, "a value is uncertain if its interval reaches farther than this share of it [-]"
     )
@@ -351,9 +357,7 @@ class ComparisonOptions(PriorOptions):
     """Options of `st.compare`."""
 
     segment: str = segment_option("plateau")
-    threshold: float = option(
-        PressureOptions.threshold, "pressure above which a tile is in contact [kPa]"
-    )
+    threshold: float = option(PressureOptions.threshold, _THRESHOLD)
     by_region: bool = option(False, "compare trials by region alone; their sockets may then differ")
     params: Path | None = option(None, _PARAMS_OF_EACH)
 
@@ -369,9 +373,7 @@ class SurveyOptions(Options):
         " in the last one)",
         metavar="N",
     )
-    keep_out: Sequence[str] = several(
-        "regions and tiles excluded from proposals, such as anterior proximal"
-    )
+    keep_out: Sequence[str] = several(_KEEP_OUT)
     params: Path | None = option(None, _PARAMS_OF_EACH)
 
 
@@ -437,12 +439,8 @@ class MetadataOptions(Options):
 class SimulationOptions(Options):
     """Options of `st.simulate`."""
 
-    scenario: Scenario = option(
-        "static_hold", "the load history: static_hold, ramp, multi_direction or protocol"
-    )
-    tissue: TissueKind = option(
-        "soft", "tissue of the limb: soft like the published experiment's silicone, or stiff"
-    )
+    scenario: Scenario = option("static_hold", SCENARIO)
+    tissue: TissueKind = option("soft", TISSUE)
     like_paper: bool = option(
         False,
         "make the errors of load cell and clusters as large as in the published experiment, with a"
@@ -451,10 +449,10 @@ class SimulationOptions(Options):
     )
     duration: float = option(120.0, "duration [s]")
     rate: float = option(TriggerSettings.rate, "trigger rate [Hz]")
-    seed: int = option(0, "seed of the random numbers: of the limb, its load and all errors")
+    seed: int = option(0, SEED)
     donning: int | None = option(None, DONNING, metavar="SEED")
     donning_share: float = option(0.1, DONNING_SHARE)
-    geometry: Path | None = option(None, "a socket.yaml (default: the package's own)")
+    geometry: Path | None = option(None, PACKAGED_SOCKET)
     calibration: Path | None = option(
         None,
         "a calibration.yaml (default: the package's own, config/like_paper.yaml with like_paper)",
@@ -592,9 +590,7 @@ class TileOptions(Options):
         "total number of clusters: given ones stay, the others are proposed where they are most"
         " informative for the force map; 0: none is proposed",
     )
-    keep_out: Sequence[str] = several(
-        "regions and tiles excluded from proposals, such as anterior proximal"
-    )
+    keep_out: Sequence[str] = several(_KEEP_OUT)
     bodies: Path | None = option(
         None, "a registered socket.yaml whose marker bodies are kept (default: nominal ones)"
     )
