@@ -22,7 +22,7 @@ from socket_testbed.files import write_text
 from socket_testbed.geometry.regions import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
-from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
+from socket_testbed.tables import UNCERTAIN, Table, pairs_table, write_table
 
 if TYPE_CHECKING:
     import trimesh
@@ -72,6 +72,12 @@ class ReportFigure:
 def utc(moment: datetime) -> str:
     """A time in UTC as text, such as `2025-01-31 12:00:00 UTC`."""
     return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def origin_table(command: str) -> Table:
+    """When a page was made, and by which command."""
+    rows = [("page made", utc(datetime.now(UTC))), ("command", command)]
+    return pairs_table("provenance-table", "Provenance of the page", rows)
 
 
 def line_chart(

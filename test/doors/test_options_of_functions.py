@@ -389,13 +389,13 @@ def call_write_comparison(stage: Stage, **options: Any) -> None:
         table=pd.DataFrame({"part": []}), notes=(), geometry=None, title="by hand",
     )  # fmt: skip
     stage.keep("api.pages.check_kind")
-    stage.keep("api.pages._cards", returned=[])
+    stage.keep("report.comparison._cards", returned=[])
 
     def written(path: Path, title: str, subtitle: str, groups: Any, data: Any) -> None:
         (shown,) = groups["Data"][-1].parts
         stage.seen |= {"page": str(path), "command": shown.frame.loc["command"].iloc[0]}
 
-    stage.replace("report.page.write_page", written)
+    stage.replace("report.comparison.write_page", written)
     st.write_comparison(found, **{"page": "found.html"} | options)
 
 
@@ -407,14 +407,14 @@ def call_write_survey(stage: Stage, **options: Any) -> None:
         judgements=SimpleNamespace(points=()),
     )  # fmt: skip
     stage.keep("api.pages.check_kind")
-    stage.keep("api.pages._survey_cards", returned=[])
-    stage.keep("api.pages._survey_maps", returned=({}, {}))
+    stage.keep("report.survey._cards", returned=[])
+    stage.keep("report.survey._map_data", returned=({}, {}))
 
     def written(path: Path, title: str, subtitle: str, groups: Any, data: Any) -> None:
         (shown,) = groups["Data"][-1].parts
         stage.seen |= {"page": str(path), "command": shown.frame.loc["command"].iloc[0]}
 
-    stage.replace("report.page.write_page", written)
+    stage.replace("report.survey.write_page", written)
     st.write_survey(found, **{"page": "found.html"} | options)
 
 

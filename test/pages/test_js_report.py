@@ -25,9 +25,9 @@ from support.hand_outputs import (
 )
 from support.tabs import INK, Picture, Tab, read_colour, small_viewer
 
-from socket_testbed.api.pages import _map_data
 from socket_testbed.identification.differences import DIFFERENCE, VALUE
 from socket_testbed.identification.pressure import Quantity
+from socket_testbed.report.comparison import _map_data
 from socket_testbed.report.page import (
     Maps,
     Pictures,
