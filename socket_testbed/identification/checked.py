@@ -98,13 +98,13 @@ class CheckedSamples:
         return check_data(
             self.measured,
             self.geometry,
-            known.mass,
-            self.leave_out,
-            self.whole,
-            known.raw,
-            self.outliers,
-            self.prior_map,
-            self.noise,
+            mass=known.mass,
+            leave_out=self.leave_out,
+            whole=self.whole,
+            raw=known.raw,
+            outliers=self.outliers,
+            prior_map=self.prior_map,
+            noise=self.noise,
         )
 
     def part(self, rows: slice | BoolArray = slice(None)) -> Samples:
