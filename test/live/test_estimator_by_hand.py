@@ -123,8 +123,10 @@ def fit(**changes: Any) -> Any:
         variant="rigid_bias",
         stiffness=np.zeros((12, 3)),
         trail=lambda: None,
-        wrench=lambda pose, stamps, trail: np.ones((len(pose), 6)),
-        forces=lambda pose: np.full((len(pose), 12, 3), 2.0),
+        wrench_and_forces=lambda pose, stamps, trail: (
+            np.ones((len(pose), 6)),
+            np.full((len(pose), 12, 3), 2.0),
+        ),
     )
     own = {"model": model, "samples": 80, "determined": 29.7, "last_stamp": scene.START}
     return SimpleNamespace(**own | changes)
