@@ -14,8 +14,9 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -23,7 +24,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces import msg
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -269,22 +269,6 @@ class RecentFault:
         return text if clocks.monotonic() - when < max(drivers.RECENT, at_least) else ""
 
 
-class UntilRosEnds:
-    """Ignores errors once ROS has ended; entered with every message, also within itself.
-
-    Args:
-        context: The context of ROS.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, kind: object, error: object, trace: object) -> bool:
-        return isinstance(error, Exception) and not self._context.ok()
-
-
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
@@ -308,7 +292,6 @@ class TestbedNode(Node, Generic[S]):
 
     def __init__(self, name: str, kind: type[S], settle: float = 0.0) -> None:
         super().__init__(name, cli_args=self.arguments)
-        self._until_ros_ends = UntilRosEnds(self.context)
         self.device = ""
         self.finished = Future()
         self._kind = kind
@@ -353,9 +336,14 @@ class TestbedNode(Node, Generic[S]):
 
     # Nodes call these.
 
-    def until_ros_ends(self) -> UntilRosEnds:
+    @contextmanager
+    def until_ros_ends(self) -> Iterator[None]:
         """Ignore errors once ROS has ended: Ctrl-C destroys publishers before threads end."""
-        return self._until_ros_ends
+        try:
+            yield
+        except Exception:
+            if self.context.ok():
+                raise
 
     def repeat(self, period: float, callback: Callable[[], None]) -> None:
         """Call back periodically, even if the system clock jumps or a replay pauses.
