@@ -16,7 +16,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -27,7 +27,7 @@ from socket_testbed.samples import Samples, force_magnitude
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.wire.messages import Reader
-from socket_testbed.wire.topics import EVENT, TARE, TRIGGER, match_topics
+from socket_testbed.wire.topics import EVENT, TARE, TRIGGER, Topic, match_topics
 
 PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"
@@ -117,28 +117,39 @@ def read_events(bag: BagReader, stamps: IntArray, notify: Callable[[str], None])
     name = topics.get(EVENT)
     if name is None or bag.types[name] != EVENT.type or len(stamps) == 0:  # or another program's
         return []
-    reader = Reader(EVENT, bag.path)
-    raws, found = [], []
+    moments, found = _decoded(bag, name, EVENT, notify)
+    first, last = int(stamps[0]), int(stamps[-1])
+    time = np.array([(stamp - first) * 1e-9 for stamp, _ in found])
+    apart = (time < -_STAMP_MARGIN) | (time > (last - first) * 1e-9 + _STAMP_MARGIN)
+    if apart.any():
+        recorded, triggers = _decoded(bag, topics[TRIGGER], TRIGGER, notify)
+        triggered = [stamp - first for stamp, _ in triggers]
+        own, theirs = ([at - first for at in each] for each in (moments, recorded))
+        time = np.where(apart, 1e-9 * np.interp(own, theirs, triggered), time)
+    return [
+        Event(_printable(label), when, "recorded")
+        for (_, label), when in zip(found, time.tolist(), strict=True)
+    ]
+
+
+def _decoded(
+    bag: BagReader, name: str, topic: Topic, notify: Callable[[str], None]
+) -> tuple[list[int], list[tuple[int, Any]]]:
+    """When the messages of a topic were recorded, since the epoch [ns], and what each holds.
+
+    A message that cannot be decoded is left out with a note, so that no other is lost.
+    """
+    reader = Reader(topic, bag.path)
+    recorded: list[int] = []
+    found: list[tuple[int, Any]] = []
     for raw in bag.messages([name]):
         try:
             found.append(reader.read(raw.data))
         except TrialError as error:
             notify(f"{error}: left out")
-            continue
-        raws.append(raw)
-    first, last = int(stamps[0]), int(stamps[-1])
-    time = np.array([(stamp - first) * 1e-9 for stamp, _ in found])
-    apart = (time < -_STAMP_MARGIN) | (time > (last - first) * 1e-9 + _STAMP_MARGIN)
-    if apart.any():
-        triggers = list(bag.messages([topics[TRIGGER]]))
-        reader = Reader(TRIGGER, bag.path)
-        triggered = [reader.read(raw.data)[0] - first for raw in triggers]
-        recorded, moments = ([raw.time - first for raw in each] for each in (triggers, raws))
-        time = np.where(apart, 1e-9 * np.interp(moments, recorded, triggered), time)
-    return [
-        Event(_printable(label), when, "recorded")
-        for (_, label), when in zip(found, time.tolist(), strict=True)
-    ]
+        else:
+            recorded.append(raw.time)
+    return recorded, found
 
 
 def _printable(label: str) -> str:

@@ -460,6 +460,26 @@ def test_an_event_that_cannot_be_decoded_is_left_out(hold: Path, tmp_path: Path)
     assert re.search(r"torn: a message on event cannot be decoded.*: left out$", note)
 
 
+def test_a_torn_trigger_beside_an_event_without_a_stamp_loses_no_trial(
+    hold: Path, tmp_path: Path
+) -> None:
+    """The event's time is found between the other triggers."""
+    bags.add_events(hold, tmp_path / "whole", [("push", float("nan"), 10.0)])
+    with bags.copying(tmp_path / "whole", tmp_path / "torn") as (old, new):
+        new.add_topic("/event", topics.EVENT)
+        torn = 0
+        for raw in old.messages():
+            is_trigger = raw.topic == "/trigger"
+            torn += is_trigger
+            new.write(
+                raw.topic, raw.time, raw.data[:-9] if is_trigger and torn == 100 else raw.data
+            )
+    trial = st.open_trial(tmp_path / "torn", notify=None)
+    assert len(trial.samples()) == len(Trial(hold).samples())
+    (found,) = [each for each in trial.events() if each.source == "recorded"]
+    assert (found.label, found.time) == ("push", pytest.approx(10.0, abs=0.2))
+
+
 def test_a_trial_is_opened_once(hold: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For its samples, findings, noise, plateaus and events together."""
     opened: list[Path] = []
