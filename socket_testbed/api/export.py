@@ -119,24 +119,23 @@ def export(
             "a prior is given, but no column that it changes", "add --map or --pressure"
         )
     cycles = None if cycles is None else cycles_by(cycles)
-    if path.suffix.lower() in GAIT_FORMATS:
-        if model or force_map or pressure or cycles:
-            raise ConfigurationError(
-                f"{path}: a {path.suffix} holds only measured forces and markers",
-                "give .csv, .parquet or .mat for computed columns",
-            )
-        chosen = trial.select(segment, trial.estimator)
-        note_problems(trial)
-        table = write_gait_file(trial, chosen.rows, path, about)
-        table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
-        return table
-    notes: tuple[str, ...] = ()
+    of_gait = path.suffix.lower() in GAIT_FORMATS
+    if of_gait and (model or force_map or pressure or cycles):
+        raise ConfigurationError(
+            f"{path}: a {path.suffix} holds only measured forces and markers",
+            "give .csv, .parquet or .mat for computed columns",
+        )
     as_bag = path.suffix.lower() == ".mcap"
     if as_bag and cycles:
         raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
     stored = None if model is None else model_for(trial, model)
     chosen = trial.select(segment, trial.estimator)
     note_problems(trial)
+    if of_gait:
+        table = write_gait_file(trial, chosen.rows, path, about)
+        table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
+        return table
+    notes: tuple[str, ...] = ()
     measured, samples = trial.measurements_and_samples()
     predicted = None
     added: list[pd.DataFrame] = []

@@ -54,7 +54,7 @@ class ConversionClock:
     @property
     def earliest(self) -> float | None:
         """Time until which the next conversion has not ended [s]; None if unknown."""
-        return self._bounds and self._bounds[0]
+        return None if self._bounds is None else self._bounds[0]
 
     @property
     def expected(self) -> float | None:
@@ -62,7 +62,9 @@ class ConversionClock:
 
         Reading a little earlier or later than it ends is what keeps its bounds close.
         """
-        return self._bounds and 0.5 * sum(self._bounds) + _POLL_MARGIN * self._period
+        if self._bounds is None:
+            return None
+        return 0.5 * sum(self._bounds) + _POLL_MARGIN * self._period
 
     def lose(self) -> None:
         """Lose track, after a lost frame or an unknown delay, until the FIFO is empty."""
