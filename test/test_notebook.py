@@ -88,8 +88,6 @@ WRONG = {
     "st.fit(trial, theta=nan)": "theta is nan: give a number from 0 to 1",
     "st.pareto(trial, thetas=1)": "--thetas is 1: give a whole number from 2 to 10001",
     "st.pareto(trial, thetas=2.5)": "--thetas is 2.5: give a whole number",
-    "st.pareto(trial, smothness=1)": "a setting: unknown key 'smothness': did you mean 'smooth",
-    "st.paper(trial, variant='rigid')": "variant is given: leave it",
     "st.evaluate(trial, None)": "the model is None: give a fit",
     "st.evaluate(trial, trial)": "the model is of the kind Trial: give a fit",
     "st.evaluate(trial, pressure)": "the model is of the kind TrialPressure: give a fit",

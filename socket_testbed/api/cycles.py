@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from socket_testbed.api.trials import as_trial, note_problems
+from socket_testbed.api.trials import as_trial
 from socket_testbed.arrays import BREAK, FloatArray, gaps
 from socket_testbed.documents import described, texts_of
 from socket_testbed.errors import ConfigurationError, TrialError, closest
@@ -65,7 +65,7 @@ def cycles(
     by = cycles_by(by)
     time, titles, values = _series(trial, quantity)
     if not isinstance(quantity, pd.DataFrame | pd.Series):  # a table is the caller's own
-        note_problems(trial)
+        trial.note_problems()
     chosen = trial.select(segment, trial.estimator)
     all_spans = cycle_spans(trial.events(), by)
     start, end = max(chosen.start, float(time[0])), min(chosen.end, float(time[-1]))

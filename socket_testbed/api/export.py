@@ -12,7 +12,7 @@ from socket_testbed.api.cycles import cycles_by
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import as_trial, note_problems
+from socket_testbed.api.trials import as_trial
 from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_suffix
@@ -130,7 +130,7 @@ def export(
         raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
     stored = None if model is None else model_for(trial, model)
     chosen = trial.select(segment, trial.estimator)
-    note_problems(trial)
+    trial.note_problems()
     if of_gait:
         table = write_gait_file(trial, chosen.rows, path, about)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}

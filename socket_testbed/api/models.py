@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypeAlias
+from collections.abc import Sequence
+from typing import Literal, TypeAlias
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import as_trial, note_problems, settings_of
+from socket_testbed.api.trials import as_path, as_trial
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.model_file import read_model as _read_model
-from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge
+from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge, part_to_fit
 from socket_testbed.results.result import PathLike
-from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import (
-    FitChoices,
-    IdentificationSettings,
-    Variant,
-    Weights,
-)
-from socket_testbed.trials.segment import Segment, Span, first_frames
+from socket_testbed.settings.identification import Variant, Weights
+from socket_testbed.settings.options import EstimationOptions
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 Model: TypeAlias = TrialFit | FittedModel | PathLike
@@ -88,46 +83,22 @@ def fit(
     'N'
     >>> fitted.save("hold.json")
     """
-    choices: FitChoices = {
-        "variant": variant,
-        "theta": theta,
-        "weights": weights,
-        "smoothness": smoothness,
-        "leave_out": leave_out,
-        "pose_smoothing": pose_smoothing,
-        "frames": frames,
-        "initial_stiffness": initial_stiffness,
-        "solver": solver,
-    }
-    trial, chosen, rows, settings = prepare_fit(trial, segment, params, choices)
-    return fit_segment(trial, chosen, rows, settings)
-
-
-def prepare_fit(
-    trial: Trial | PathLike,
-    segment: str | Span | Segment,
-    params: PathLike | None,
-    choices: Mapping[str, Any],
-) -> tuple[Trial, Segment, Samples, IdentificationSettings]:
-    """The trial, the part to be fitted, its sound samples, and the settings; reports the notes.
-
-    Args:
-        trial: The trial.
-        segment: As in `fit`.
-        params: A `testbed.yaml` to use instead of the trial's own; None for the trial's.
-        choices: Settings of the identification that override those, by name; None keeps one.
-
-    Returns:
-        The opened trial; the segment, with `frames` only its first samples; the samples of the
-        segment, NaN where a value is an outlier; the settings of the identification.
-    """
+    options = EstimationOptions(
+        params=as_path(params),
+        variant=variant,
+        theta=theta,
+        weights=weights,
+        smoothness=smoothness,
+        leave_out=leave_out,
+        pose_smoothing=pose_smoothing,
+        frames=frames,
+        initial_stiffness=initial_stiffness,
+        solver=solver,
+    )
     trial = as_trial(trial)
-    settings = settings_of(trial, params, **choices)
-    samples, frames = trial.samples(), settings.identification.frames
-    chosen = first_frames(trial.select(segment, settings), samples, frames)
-    leave_out = settings.identification.leave_out
-    note_problems(trial, leave_out)
-    return trial, chosen, trial.checked(leave_out).part(chosen.rows), settings.identification
+    settings = trial.settings_for(options)
+    chosen, samples = part_to_fit(trial, segment, settings)
+    return fit_segment(trial, chosen, samples, settings.identification)
 
 
 def read_model(path: PathLike) -> FittedModel:
@@ -217,7 +188,7 @@ def predict(
     trial = as_trial(trial)
     stored = model_for(trial, model)
     chosen = _select(trial, stored, segment)
-    note_problems(trial, stored.settings.leave_out)
+    trial.note_problems(stored.settings.leave_out)
     samples, values = trial.samples(), predictions(trial, stored)
     table = pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), samples.titles)
     return table.iloc[chosen.rows]
@@ -269,7 +240,7 @@ def evaluate(
         stored = dataclasses.replace(stored, settings=changed)
     chosen = _select(trial, stored, segment)
     found = judge(trial, stored, chosen)
-    note_problems(trial, stored.settings.leave_out)
+    trial.note_problems(stored.settings.leave_out)
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.note(f"the model was fitted {fitted} --unloaded: its offsets differ")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Literal
 
 from threadpoolctl import threadpool_limits
 
@@ -18,8 +19,8 @@ from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.results.comparison import Comparison
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
-from socket_testbed.settings.identification import ReportChoices
-from socket_testbed.settings.options import ReportOptions
+from socket_testbed.settings.identification import Weights
+from socket_testbed.settings.options import EstimationOptions, ReportOptions
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
@@ -37,6 +38,14 @@ def write_report(
     model: Model | None = None,
     thetas: int = ReportOptions.thetas,
     params: PathLike | None = None,
+    theta: float | None = None,
+    weights: Weights | None = None,
+    smoothness: float | None = None,
+    leave_out: Sequence[str] | None = None,
+    pose_smoothing: float | None = None,
+    frames: int | None = None,
+    initial_stiffness: float | Literal["auto"] | None = None,
+    solver: str | None = None,
     prior: Survey | PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
@@ -44,7 +53,6 @@ def write_report(
     width: float = 180,
     title: bool = True,
     progress: trials.Progress | None = None,
-    **choices: Unpack[ReportChoices],
 ) -> Results:
     """Write the results of a trial as one page, with a folder of its data next to it.
 
@@ -58,6 +66,14 @@ def write_report(
         model: A further model to show.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
+        theta: As in `fit`.
+        weights: As in `fit`.
+        smoothness: As in `fit`.
+        leave_out: As in `fit`.
+        pose_smoothing: As in `fit`.
+        frames: As in `fit`.
+        initial_stiffness: As in `fit`.
+        solver: As in `fit`.
         prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
             prior of the force map; the trial must not be in it.
         command: The command that made the page, for the record.
@@ -66,7 +82,6 @@ def write_report(
         width: Printed width of these figures, 88 or 180 [mm].
         title: Whether these figures have titles, and errors in their keys.
         progress: See `Progress`.
-        choices: Settings as in `fit`, except `variant`.
 
     Returns:
         The results shown on the page: `fitted` are the models by variant, `fronts`, `pressure` and
@@ -82,6 +97,17 @@ def write_report(
     >>> list(results.fitted)
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
+    options = EstimationOptions(
+        params=trials.as_path(params),
+        theta=theta,
+        weights=weights,
+        smoothness=smoothness,
+        leave_out=leave_out,
+        pose_smoothing=pose_smoothing,
+        frames=frames,
+        initial_stiffness=initial_stiffness,
+        solver=solver,
+    )
     trial = trials.as_trial(trial)
     # Only pages need their libraries.
     from socket_testbed.report.write import check_page_path
@@ -93,7 +119,7 @@ def write_report(
     specification = specification_of(segment)
     check_page_path(page, replace)
     style = figure_style(width, title)  # fails before long work
-    settings = trials.settings_of(trial, params, **choices)
+    settings = trial.settings_for(options)
     stored = None if model is None else model_for(trial, model)
     learnt = prior_for(trial, prior)
     with threadpool_limits(1):
@@ -208,5 +234,5 @@ def view(
     check_kind(host, str, "host", "give an address, such as 127.0.0.1")
     predicted = None if model is None else predictions(trial, model_for(trial, model))
     player = Player(trial, predicted, prior_for(trial, prior))
-    trials.note_problems(trial)
+    trial.note_problems()
     return PageServer(player, host, port, names)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.trials import as_trial, note_problems, settings_of
+from socket_testbed.api.trials import as_path, as_trial
 from socket_testbed.documents import check_kind, check_number, mapping_of, path_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.pressure import check_measured
@@ -17,7 +17,7 @@ from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.samples import check_channels
-from socket_testbed.settings.options import PressureOptions
+from socket_testbed.settings.options import EstimationOptions, PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -64,7 +64,7 @@ def force_map(
     (1, 200, 79, 3)
     """
     trial = as_trial(trial)
-    settings = settings_of(trial, params)
+    settings = trial.settings_for(EstimationOptions(params=as_path(params)))
     return _mapped(trial, segment, settings, prior=prior)
 
 
@@ -78,7 +78,7 @@ def _mapped(
     learnt = prior_for(trial, prior)
     check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = trial.select(segment, settings)
-    note_problems(trial, settings.identification.leave_out)
+    trial.note_problems(settings.identification.leave_out)
     with threadpool_limits(1):
         found = map_trial(trial, settings, geometry, learnt).part(chosen)
     check_measured(found.samples)
@@ -157,7 +157,8 @@ def pressure(
     trial = as_trial(trial)
     check_number(threshold, "--threshold", 0.0, 500.0)
     check_number(share, "--share", 0.0, 5.0)
-    settings = settings_of(trial, params, leave_out=leave_out)
+    options = EstimationOptions(params=as_path(params), leave_out=leave_out)
+    settings = trial.settings_for(options)
     geometry = trial.geometry
     if regions is not None:
         hint = "give tiles by name, such as {'heel': ['distal']}"

@@ -10,11 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.trials import (
     Progress,
+    as_path,
     as_trial,
-    note_problems,
     require_different,
     require_one_socket,
-    settings_of,
     started,
     trials_of,
     unique_names,
@@ -29,7 +28,7 @@ from socket_testbed.identification.survey import Donned
 from socket_testbed.identification.survey_prior import learnt
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
-from socket_testbed.settings.options import SurveyOptions
+from socket_testbed.settings.options import EstimationOptions, SurveyOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
@@ -107,15 +106,16 @@ def survey(
     >>> st.write_survey(found, "survey.html")
     """
     specification = specification_of(segment)
+    options = EstimationOptions(params=as_path(params))
     opened = open_surveyed(trials_of(trials))
     names = unique_names(opened)
-    settings = settings_of(opened[0], params)
+    settings = opened[0].settings_for(options)
     geometry = opened[0].geometry
     report = started(progress, "surveying")
     parts: list[_Part] = []
     for done, (name, trial) in enumerate(zip(names, opened, strict=True), start=1):
         with naming(name, IdentificationError):
-            parts.append(_part_of(trial, specification, settings_of(trial, params)))
+            parts.append(_part_of(trial, specification, trial.settings_for(options)))
         report(done, len(opened) + 2)
     donned, mismatch = _matched(parts, settings)
     free = _free_tiles(geometry, parts, keep_out)
@@ -181,7 +181,7 @@ class _Part:
 
 def _part_of(trial: Trial, specification: str, settings: EstimatorSettings) -> _Part:
     chosen = trial.select(specification, settings)
-    note_problems(trial, settings.identification.leave_out)
+    trial.note_problems(settings.identification.leave_out)
     checked = trial.checked(settings.identification.leave_out)
     checked.part(chosen.rows)  # refuses another unit
     samples = checked.counted[chosen.rows]

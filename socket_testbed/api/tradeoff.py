@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Unpack
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.models import fit, prepare_fit
-from socket_testbed.api.trials import Progress, as_trial, started
+from socket_testbed.api.trials import Progress, as_path, as_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_whole
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.paper import beside_published
-from socket_testbed.identification.pareto import pareto_front
+from socket_testbed.results.models import part_to_fit
 from socket_testbed.results.result import PathLike
-from socket_testbed.results.tradeoff import PaperTable, Tradeoff
-from socket_testbed.settings.identification import (
-    PAPER_VARIANTS,
-    FrontChoices,
-    PaperChoices,
-    Weights,
-)
-from socket_testbed.settings.options import FrontOptions, PaperOptions
+from socket_testbed.results.tradeoff import PaperTable, Tradeoff, paper_table, trace_fronts
+from socket_testbed.settings.identification import Weights
+from socket_testbed.settings.options import EstimationOptions, FrontOptions, PaperOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
@@ -41,8 +33,14 @@ def pareto(
     *,
     thetas: int = FrontOptions.thetas,
     params: PathLike | None = None,
+    weights: Weights | None = None,
+    smoothness: float | None = None,
+    leave_out: Sequence[str] | None = None,
+    pose_smoothing: float | None = None,
+    frames: int | None = None,
+    initial_stiffness: float | Literal["auto"] | None = None,
+    solver: str | None = None,
     progress: Progress | None = None,
-    **choices: Unpack[FrontChoices],
 ) -> Tradeoff:
     """Identify the contact model along theta, for the paper's variants, and find the knees.
 
@@ -51,8 +49,14 @@ def pareto(
         segment: As in `fit`.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
+        weights: As in `fit`.
+        smoothness: As in `fit`.
+        leave_out: As in `fit`.
+        pose_smoothing: As in `fit`.
+        frames: As in `fit`.
+        initial_stiffness: As in `fit`.
+        solver: As in `fit`.
         progress: See `Progress`.
-        choices: Settings as in `fit`, except `variant` and `theta`.
 
     Returns:
         The trade-off: `fronts` by variant, `to_dataframe()` with a row per solution.
@@ -69,11 +73,21 @@ def pareto(
     >>> tradeoff.draw("front.png")
     """
     values = theta_values(thetas)
-    trial, chosen, rows, settings = prepare_fit(trial, segment, params, choices)
+    options = EstimationOptions(
+        params=as_path(params),
+        weights=weights,
+        smoothness=smoothness,
+        leave_out=leave_out,
+        pose_smoothing=pose_smoothing,
+        frames=frames,
+        initial_stiffness=initial_stiffness,
+        solver=solver,
+    )
+    trial = as_trial(trial)
+    settings = trial.settings_for(options)
+    chosen, samples = part_to_fit(trial, segment, settings)
     report = started(progress, "solving for every theta")
-    with threadpool_limits(1):
-        fronts = pareto_front(rows, trial.geometry, settings, values, report)
-    return Tradeoff(trial, chosen, fronts)
+    return trace_fronts(trial, chosen, samples, settings.identification, values, report)
 
 
 def paper(
@@ -84,8 +98,13 @@ def paper(
     weights: Weights = PaperOptions.weights,
     frames: int = PaperOptions.frames,
     params: PathLike | None = None,
+    theta: float | None = None,
+    smoothness: float | None = None,
+    leave_out: Sequence[str] | None = None,
+    pose_smoothing: float | None = None,
+    initial_stiffness: float | Literal["auto"] | None = None,
+    solver: str | None = None,
     progress: Progress | None = None,
-    **choices: Unpack[PaperChoices],
 ) -> PaperTable:
     """Run the paper's pipeline: both stages, without and with offsets, and the front over theta.
 
@@ -98,8 +117,13 @@ def paper(
         weights: As in `fit`.
         frames: As in `fit`.
         params: As in `fit`.
+        theta: As in `fit`.
+        smoothness: As in `fit`.
+        leave_out: As in `fit`.
+        pose_smoothing: As in `fit`.
+        initial_stiffness: As in `fit`.
+        solver: As in `fit`.
         progress: See `Progress`.
-        choices: Other settings as in `fit`, except `variant`.
 
     Returns:
         The figures: `to_dataframe()` has a row each.
@@ -113,16 +137,20 @@ def paper(
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
     [3.99, 0.95]
     """
+    values = theta_values(thetas)
+    options = EstimationOptions(
+        params=as_path(params),
+        weights=weights,
+        frames=frames,
+        theta=theta,
+        smoothness=smoothness,
+        leave_out=leave_out,
+        pose_smoothing=pose_smoothing,
+        initial_stiffness=initial_stiffness,
+        solver=solver,
+    )
     trial = as_trial(trial)
-    chosen: dict[str, Any] = {"weights": weights, "frames": frames, "params": params, **choices}
-    theta_values(thetas)  # fails before long work
-    if "variant" in choices:
-        raise ConfigurationError("variant is given", "leave it: the paper's two are fitted")
-    fits = {variant: fit(trial, segment, variant=variant, **chosen) for variant in PAPER_VARIANTS}
-    fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
-    errors = {variant: found.fit.errors for variant, found in fits.items()}
-    last = fits[PAPER_VARIANTS[-1]]
-    settings = last.fit.settings
-    rows = trial.checked(settings.leave_out).samples[last.segment.rows]
-    table = beside_published(errors, fronts, rows, settings, trial.geometry)
-    return PaperTable(trial, last.segment, last.fit.samples, settings, table)
+    settings = trial.settings_for(options)
+    chosen, samples = part_to_fit(trial, segment, settings)
+    report = started(progress, "solving for every theta")
+    return paper_table(trial, chosen, samples, settings.identification, values, report)

@@ -6,10 +6,9 @@ import os
 import pickle
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeAlias, Unpack
+from typing import Any, TypeAlias
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import (
@@ -19,7 +18,6 @@ from socket_testbed.documents import (
     described,
     path_of,
     plain,
-    refuse_unknown,
     texts_of,
 )
 from socket_testbed.errors import ConfigurationError, TrialError, closest
@@ -32,7 +30,6 @@ from socket_testbed.files import (
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.results.result import PathLike
-from socket_testbed.settings.identification import FitChoices, IdentificationSettings
 from socket_testbed.settings.options import (
     RECORDED,
     Scenario,
@@ -40,7 +37,6 @@ from socket_testbed.settings.options import (
     SimulationOptions,
     TissueKind,
 )
-from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag_parts import is_bag
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
@@ -65,18 +61,6 @@ _MAX_TRIGGERS = 1_000_000
 def as_path(path: PathLike | None) -> Path | None:
     """Convert to a `Path`, passing None through."""
     return None if path is None else path_of(path, "the file")
-
-
-def note_problems(trial: Trial, leave_out: tuple[str, ...] | None = None) -> None:
-    """Note the problems in a trial's data, as its verb does, except in left-out channels.
-
-    Args:
-        trial: The trial; each problem is a note, sent to its `notify`.
-        leave_out: Names of channels that are not checked, such as `distal.Fx` or `Mz`; None stands
-            for those of the trial's settings.
-    """
-    for found in trial.problems(leave_out):
-        trial.note(str(found))
 
 
 def unique_names(trials: Sequence[Trial]) -> tuple[str, ...]:
@@ -192,27 +176,6 @@ def open_trial(
         with trial.open():
             pass  # raises the error
     return trial
-
-
-def settings_of(
-    trial: Trial, params: PathLike | None, **choices: Unpack[FitChoices]
-) -> EstimatorSettings:
-    """The settings of a trial, or those of `params`, with the choices of a call.
-
-    Args:
-        trial: The trial, whose clusters `leave_out` may name.
-        params: A `testbed.yaml` to use instead of the trial's own; None for the trial's.
-        choices: Settings of the identification that override those, by name; None keeps one.
-
-    Raises:
-        ConfigurationError: The file or a choice is wrong.
-    """
-    names = [field.name for field in fields(IdentificationSettings)]
-    refuse_unknown(choices, names, "a setting")
-    leave_out = choices.get("leave_out")
-    if leave_out is not None:
-        choices["leave_out"] = trial.channels(leave_out)
-    return trial.with_channels(estimator_settings(trial.estimator, as_path(params), **choices))
 
 
 def _spans(given: object) -> tuple[Span, ...]:

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
-from pathlib import Path
-from typing import Unpack
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,10 +15,8 @@ from socket_testbed.api.trials import (
     Progress,
     as_path,
     as_trial,
-    note_problems,
     require_different,
     require_one_socket,
-    settings_of,
     started,
     trials_of,
     unique_names,
@@ -35,7 +31,8 @@ from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.results.validation import Validation
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import ValidationChoices
+from socket_testbed.settings.identification import Weights
+from socket_testbed.settings.options import EstimationOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -48,9 +45,14 @@ def validate(
     *trials: Trial | PathLike,
     segment: str | Span | Segment = "all",
     params: PathLike | None = None,
+    theta: float | None = None,
+    weights: Weights | None = None,
+    smoothness: float | None = None,
+    leave_out: Sequence[str] | None = None,
+    pose_smoothing: float | None = None,
+    solver: str | None = None,
     prior: Survey | PathLike | None = None,
     progress: Progress | None = None,
-    **choices: Unpack[ValidationChoices],
 ) -> Validation:
     """Judge estimates of tile forces and wrench on held-out data.
 
@@ -69,11 +71,15 @@ def validate(
         trials: Trials of one socket.
         segment: As in `fit`.
         params: A `testbed.yaml` to use instead of each trial's own.
+        theta: As in `fit`.
+        weights: As in `fit`.
+        smoothness: As in `fit`.
+        leave_out: As in `fit`.
+        pose_smoothing: As in `fit`.
+        solver: As in `fit`.
         prior: A survey of this limb in this socket, such as the file of `survey -o FILE.json`, as a
             prior of the force map; the trial must not be in it.
         progress: See `Progress`.
-        choices: `theta`, `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in
-            `fit`.
 
     Returns:
         The validation: `summary()` has the means over the trials, `to_dataframe()` every judgement,
@@ -93,8 +99,17 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
+    options = EstimationOptions(
+        params=as_path(params),
+        theta=theta,
+        weights=weights,
+        smoothness=smoothness,
+        leave_out=leave_out,
+        pose_smoothing=pose_smoothing,
+        solver=solver,
+    )
     opened = [*map(as_trial, trials_of(trials))]
-    recordings = _recordings(opened, segment, as_path(params), prior, choices)
+    recordings = _recordings(opened, segment, options, prior)
     several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
@@ -198,9 +213,8 @@ class _Recording:
 def _recordings(
     trials: Sequence[Trial],
     segment: str | Span | Segment,
-    params: Path | None,
+    options: EstimationOptions,
     prior: Survey | PathLike | None,
-    choices: ValidationChoices,
 ) -> list[_Recording]:
     """Read the trials, which must be different and of one socket."""
     if not trials:
@@ -209,10 +223,10 @@ def _recordings(
     found = []
     for name, trial in zip(unique_names(trials), trials, strict=True):
         with _skip_failed(name, trial, len(trials) > 1):
-            settings = settings_of(trial, params, **choices)
+            settings = trial.settings_for(options)
             rows = trial.select(segment, settings).rows
             checked = trial.checked(settings.identification.leave_out)
-            note_problems(trial, settings.identification.leave_out)
+            trial.note_problems(settings.identification.leave_out)
             samples = checked.counted[rows]
             loaded = np.zeros(len(checked.measured), dtype=bool)
             loaded[rows] = samples.under_load(settings.plateau.least_force)

@@ -44,7 +44,6 @@ from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
 from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.options import (
-    EstimatorOptions,
     TrialFiles,
     given,
 )
@@ -333,10 +332,8 @@ def _testbed(simulation: Simulation | None, call: calls.Run) -> bringup.Testbed:
             fact = f"--rate is given, and the triggers are the messages on {trigger.topic}"
             raise ConfigurationError(fact, "leave it out, or set trigger_node's source to timer")
         trigger = dataclasses.replace(trigger, rate=call.rate)
-    stored, chosen = testbed.settings.estimator_node, given(call, EstimatorOptions)
-    estimator = bringup.predict_with(
-        call.model, estimator_settings(stored, **chosen), testbed.geometry
-    )
+    estimator = estimator_settings(testbed.settings.estimator_node, call.overrides())
+    estimator = bringup.predict_with(call.model, estimator, testbed.geometry)
     metadata, record = check_metadata(call), bringup.new_trial(testbed.settings, call.record)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
@@ -413,13 +410,13 @@ def replay(call: calls.Replay) -> None:
     replayed = ReplaySettings(
         trial=str(call.trial.resolve()), rate=call.rate, loop=call.loop, paused=call.paused
     )
-    chosen = given(call, EstimatorOptions)
     if call.estimate:
-        estimator = estimator_settings(opened.estimator, call.params, **chosen)
+        estimator = estimator_settings(opened.estimator, call.overrides(), call.params)
         estimator = bringup.predict_with(call.model, estimator, opened.geometry_path)
         nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:
-        used = {"model": call.model, **given(call, TrialFiles), "params": call.params, **chosen}
+        files = {"model": call.model, **given(call, TrialFiles), "params": call.params}
+        used = files | call.overrides()
         refuse_given(used, "the estimator", "add --estimate")
         nodes = [GraphNode("replay_node", replayed)]
     namespace = recorded_namespace(opened)

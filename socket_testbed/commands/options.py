@@ -19,9 +19,9 @@ from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_finding import GOOD
 from socket_testbed.identification.survey_prior import read_survey
-from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.options import (
     RECORDED,
+    EstimationOptions,
     MetadataOptions,
     OpenOptions,
     Options,
@@ -91,9 +91,8 @@ def left_out(trial: Trial, options: Options) -> Sequence[str] | None:
     params: Path | None = getattr(options, "params", None)
     if stated is not None or params is None:
         return stated
-    own = trial.with_channels(trial.estimator).identification.leave_out
-    with_file = trial.with_channels(estimator_settings(trial.estimator, params))
-    of_file = with_file.identification.leave_out
+    own = trial.estimator.identification.leave_out
+    of_file = trial.settings_for(EstimationOptions(params=params)).identification.leave_out
     return None if of_file == own else of_file
 
 
@@ -123,9 +122,7 @@ def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None
 
 def check_settings(options: Options) -> None:
     """Refuse settings and a survey that are wrong for any trial, before one is read."""
-    choices = given(options, IdentificationSettings)
-    choices.pop("prior", None)  # the option is a survey, the setting of this name a weight
-    estimator_settings(EstimatorSettings(), getattr(options, "params", None), **choices)
+    estimator_settings(EstimatorSettings(), options.overrides(), getattr(options, "params", None))
     prior: Path | None = getattr(options, "prior", None)
     if prior is not None:
         read_survey(prior)

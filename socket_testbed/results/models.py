@@ -36,7 +36,8 @@ from socket_testbed.results.pressure import TrialPressure
 from socket_testbed.results.result import PathLike, Result, origin
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
-from socket_testbed.trials.segment import Segment
+from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.segment import Segment, Span, first_frames
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -331,6 +332,27 @@ def _errors_document(
     }
 
 
+def part_to_fit(
+    trial: Trial, segment: str | Span | Segment, settings: EstimatorSettings
+) -> tuple[Segment, Samples]:
+    """The part of a trial that is fitted, and its samples; problems in the data become notes.
+
+    Args:
+        trial: The trial.
+        segment: The part as in `Trial.select`.
+        settings: The settings, whose `frames` limits the number of samples.
+
+    Returns:
+        The segment, with `frames` only its first samples; and its samples, NaN where a value is an
+        outlier.
+    """
+    identification = settings.identification
+    whole = trial.select(segment, settings)
+    chosen = first_frames(whole, trial.samples(), identification.frames)
+    trial.note_problems(identification.leave_out)
+    return chosen, trial.checked(identification.leave_out).part(chosen.rows)
+
+
 def fit_segment(
     trial: Trial, segment: Segment, samples: Samples, settings: IdentificationSettings
 ) -> TrialFit:
@@ -339,7 +361,7 @@ def fit_segment(
     Args:
         trial: The trial.
         segment: The part to fit.
-        samples: Its samples, outliers as NaN: see `checked.CheckedSamples.part`.
+        samples: Its samples, outliers as NaN: see `part_to_fit`.
         settings: Settings of the fit.
 
     Raises:

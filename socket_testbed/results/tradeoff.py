@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.fronts import pareto_figure
 from socket_testbed.figures.style import FigureStyle
-from socket_testbed.identification.paper import THEIRS
-from socket_testbed.identification.pareto import Front, front_document, front_table
+from socket_testbed.identification.paper import THEIRS, beside_published
+from socket_testbed.identification.pareto import (
+    Front,
+    front_document,
+    front_table,
+    pareto_front,
+)
+from socket_testbed.results.models import fit_segment
 from socket_testbed.results.result import Result, origin, records
-from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import (
+    PAPER_VARIANTS,
+    IdentificationSettings,
+    Variant,
+)
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -135,3 +149,61 @@ class PaperTable(Result):
     def _saved_table(self) -> pd.DataFrame:
         titles = [f"paper: {title}" if group == THEIRS else title for group, title in self.table]
         return self.table.set_axis(titles, axis=1)
+
+
+def trace_fronts(
+    trial: Trial,
+    segment: Segment,
+    samples: Samples,
+    settings: IdentificationSettings,
+    thetas: FloatArray,
+    progress: Callable[[int, int], None],
+) -> Tradeoff:
+    """Identify the contact model along theta, for the paper's variants, and find the knees.
+
+    Args:
+        trial: The trial.
+        segment: The part to fit.
+        samples: Its samples, outliers as NaN: see `models.part_to_fit`.
+        settings: Settings of the fits, except the variant and theta.
+        thetas: Ascending thetas, 0 to 1, shape (T,) [-].
+        progress: Called with the number of fits done and their total.
+
+    Raises:
+        IdentificationError: As `pareto_front`.
+    """
+    with threadpool_limits(1):
+        fronts = pareto_front(samples, trial.geometry, settings, thetas, progress)
+    return Tradeoff(trial, segment, fronts)
+
+
+def paper_table(
+    trial: Trial,
+    segment: Segment,
+    samples: Samples,
+    settings: IdentificationSettings,
+    thetas: FloatArray,
+    progress: Callable[[int, int], None],
+) -> PaperTable:
+    """Fit the paper's variants and trace their fronts, and set the figures next to the published.
+
+    Args:
+        trial: The trial.
+        segment: The part to fit.
+        samples: Its samples, outliers as NaN: see `models.part_to_fit`.
+        settings: Settings of the fits, except the variant.
+        thetas: Ascending thetas of the fronts, 0 to 1, shape (T,) [-].
+        progress: Called with the number of fits of the fronts done and their total.
+
+    Raises:
+        IdentificationError: As `fit_segment` and `pareto_front`.
+    """
+    fits = {
+        variant: fit_segment(trial, segment, samples, replace(settings, variant=variant)).fit
+        for variant in PAPER_VARIANTS
+    }
+    fronts = trace_fronts(trial, segment, samples, settings, thetas, progress).fronts
+    errors = {variant: found.errors for variant, found in fits.items()}
+    last = fits[PAPER_VARIANTS[-1]]
+    table = beside_published(errors, fronts, samples, last.settings, trial.geometry)
+    return PaperTable(trial, segment, last.samples, last.settings, table)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypedDict, get_args
+from typing import Literal, get_args
 
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.fields import Settings, renew_choices, setting
@@ -116,86 +115,6 @@ class IdentificationSettings(Settings):
                 f"reference_position has {len(self.reference_position)} numbers",
                 "give x, y and z in m, or none for the mean limb position",
             )
-
-
-# Settings of a fit as keywords of signatures: an editor completes them and checks their types. None
-# keeps the value of the trial's own settings.
-
-
-class SolutionChoices(TypedDict, total=False):
-    """Settings that every fit has.
-
-    Attributes:
-        weights, smoothness, leave_out, solver: As in `IdentificationSettings`.
-    """
-
-    weights: Weights | None
-    smoothness: float | None
-    leave_out: Sequence[str] | None
-    solver: str | None
-
-
-class ValidationChoices(SolutionChoices, total=False):
-    """Settings of the fits of `st.validate`.
-
-    Attributes:
-        weights, smoothness, leave_out, solver: As in `IdentificationSettings`.
-        theta, pose_smoothing: As in `IdentificationSettings`.
-    """
-
-    theta: float | None
-    pose_smoothing: float | None
-
-
-class FrontChoices(SolutionChoices, total=False):
-    """Settings of the fits of `st.pareto`.
-
-    Attributes:
-        weights, smoothness, leave_out, solver: As in `IdentificationSettings`.
-        pose_smoothing, frames, initial_stiffness: As in `IdentificationSettings`.
-    """
-
-    pose_smoothing: float | None
-    frames: int | None
-    initial_stiffness: float | Literal["auto"] | None
-
-
-class ReportChoices(FrontChoices, total=False):
-    """Settings of the fits of `st.write_report`.
-
-    Attributes:
-        weights, smoothness, leave_out, solver: As in `IdentificationSettings`.
-        theta, pose_smoothing, frames, initial_stiffness: As in `IdentificationSettings`.
-    """
-
-    theta: float | None
-
-
-class FitChoices(ReportChoices, total=False):
-    """Settings of `st.fit`.
-
-    Attributes:
-        variant, weights, smoothness, leave_out, solver: As in `IdentificationSettings`.
-        theta, pose_smoothing, frames, initial_stiffness: As in `IdentificationSettings`.
-    """
-
-    variant: Variant | str | None
-
-
-class PaperChoices(TypedDict, total=False):
-    """Settings of the fits of `st.paper`, besides its `weights` and `frames`.
-
-    Attributes:
-        theta, smoothness, leave_out, solver: As in `IdentificationSettings`.
-        pose_smoothing, initial_stiffness: As in `IdentificationSettings`.
-    """
-
-    theta: float | None
-    smoothness: float | None
-    leave_out: Sequence[str] | None
-    solver: str | None
-    pose_smoothing: float | None
-    initial_stiffness: float | Literal["auto"] | None
 
 
 @dataclass(frozen=True)

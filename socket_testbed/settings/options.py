@@ -38,7 +38,13 @@ RECORDED = "recorded"  # the tare that a trial was recorded with
 
 
 def option(
-    default: Any, text: str, *, metavar: str = "", either: str = "", shown: Any = MISSING
+    default: Any,
+    text: str,
+    *,
+    metavar: str = "",
+    either: str = "",
+    shown: Any = MISSING,
+    setting: bool = False,
 ) -> Any:
     """A field that is an option of the command line.
 
@@ -48,8 +54,9 @@ def option(
         metavar: What stands for the value in the help; empty for the unit or the name.
         either: A word that this option shares with those that it excludes; empty for none.
         shown: The default that the help states, where `default` stands for another.
+        setting: Whether it overrides the setting of a fit of this name, see `Options.overrides`.
     """
-    metadata = {"text": text, "metavar": metavar, "either": either}
+    metadata = {"text": text, "metavar": metavar, "either": either, "setting": setting}
     metadata["shown"] = default if shown is MISSING else shown
     return field(default=default, metadata=metadata)
 
@@ -95,18 +102,19 @@ def internal(default: Any, text: str) -> Any:
     return field(default=default, metadata={"text": text, "internal": True})
 
 
-def setting_of_fit(name: str, metavar: str = "") -> Any:
-    """An option that overrides a field of `IdentificationSettings`; None keeps the trial's own.
-
-    Its text and the default in its help are those of the field.
+def setting_of_fit(name: str, metavar: str = "", default: Any = None) -> Any:
+    """An option that overrides a field of `IdentificationSettings`, with the text of the field.
 
     Args:
-        name: The field.
+        name: The field, which the option is named after.
         metavar: What stands for the value in the help; empty for the unit or the name.
+        default: The value if it is not given; None keeps the trial's own, and the help states the
+            default of the field.
     """
     declared = IdentificationSettings.flat()[name]
     text = declared.metadata["description"]
-    return option(None, text, metavar=metavar, shown=declared.default)
+    shown = declared.default if default is None else default
+    return option(default, text, metavar=metavar, shown=shown, setting=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +142,12 @@ class Options:
                 if isinstance(declared, dataclasses.Field)
             )
             cls.__doc__ = "\n".join([inspect.cleandoc(cls.__doc__), "\nAttributes:", *entries])
+
+    def overrides(self) -> dict[str, Any]:
+        """The settings of a fit that these options state, by their names; those not None."""
+        names = (item.name for item in dataclasses.fields(self) if item.metadata.get("setting"))
+        stated = {name: getattr(self, name) for name in names}
+        return {name: value for name, value in stated.items() if value is not None}
 
 
 def given(options: Options, *takers: Callable[..., Any]) -> dict[str, Any]:
@@ -236,7 +250,7 @@ class ThetaOptions(SolutionOptions):
 class EstimatorOptions(ThetaOptions):
     """Settings of a fit that the estimator node has, too."""
 
-    variant: Variant | None = setting_of_fit("variant")
+    variant: Variant | str | None = setting_of_fit("variant")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,7 +279,14 @@ class PartOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitOptions(PartOptions, EstimatorOptions, OfflineOptions):
+class EstimationOptions(EstimatorOptions, OfflineOptions):
+    """What a call changes in the settings of a trial, see `Trial.settings_for`."""
+
+    params: Path | None = option(None, OWN_PARAMS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions(PartOptions, EstimationOptions):
     """Options of `st.fit`."""
 
 
@@ -285,10 +306,8 @@ class FrontOptions(PartOptions, ThetasOptions, SolutionOptions, OfflineOptions):
 class PaperOptions(PartOptions, ThetasOptions, ThetaOptions, OfflineOptions):
     """Options of `st.paper`."""
 
-    weights: Weights = option(
-        "raw", IdentificationSettings.flat()["weights"].metadata["description"]
-    )
-    frames: int = option(1000, IdentificationSettings.flat()["frames"].metadata["description"])
+    weights: Weights = setting_of_fit("weights", default="raw")
+    frames: int = setting_of_fit("frames", default=1000)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,10 @@ defined only here, in `acquisition.py` and in `identification.py`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError
@@ -22,7 +23,6 @@ from socket_testbed.settings.acquisition import (
 from socket_testbed.settings.alignment import NONE, OWN, AlignSettings
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
-    FitChoices,
     ForceMapSettings,
     IdentificationSettings,
     PlateauSettings,
@@ -238,23 +238,21 @@ def read_testbed(
 
 
 def estimator_settings(
-    stored: EstimatorSettings, params: Path | None = None, **choices: Unpack[FitChoices]
+    stored: EstimatorSettings, overrides: Mapping[str, Any], params: Path | None = None
 ) -> EstimatorSettings:
-    """Settings stored with a trial, or those of a `testbed.yaml`, with overrides.
+    """Settings stored with a trial, or those of a `testbed.yaml`, with what a call overrides.
 
     Args:
         stored: The settings stored with the trial.
-        params: A `testbed.yaml` whose estimator node replaces them; None for the stored ones.
-        choices: Fields of `IdentificationSettings` to override, such as `theta`; None keeps the
-            field.
+        overrides: Fields of `IdentificationSettings` by name, see `Options.overrides`.
+        params: A `testbed.yaml` whose estimator node replaces the stored settings; None for these.
 
     Raises:
-        ConfigurationError: If the file, a choice, or the name of the solver is wrong.
+        ConfigurationError: If the file, an override, or the name of the solver is wrong.
     """
     settings = stored if params is None else read_testbed(params).estimator_node
-    given: dict[str, Any] = {name: value for name, value in choices.items() if value is not None}
-    chosen = replace(settings.identification, **given)
-    if params is not None or "solver" in given:
+    chosen = replace(settings.identification, **overrides)
+    if params is not None or "solver" in overrides:
         check_solver(chosen.solver)
     return replace(settings, identification=chosen)
 

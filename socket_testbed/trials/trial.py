@@ -26,8 +26,13 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, named_channels
-from socket_testbed.settings.options import RECORDED
-from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
+from socket_testbed.settings.options import RECORDED, EstimationOptions
+from socket_testbed.settings.testbed import (
+    EstimatorSettings,
+    TestbedSettings,
+    estimator_settings,
+    read_testbed,
+)
 from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials import reprocess, synchronise
 from socket_testbed.trials.bag import BagReader, required_topics
@@ -556,9 +561,34 @@ class Trial:
 
         `identification.leave_out` names channels, also where it was stored with a cluster's name.
         """
-        return self.with_channels(self._parameters.estimator_node)
+        return self._with_channels(self._parameters.estimator_node)
 
-    def with_channels(self, settings: EstimatorSettings) -> EstimatorSettings:
+    def settings_for(self, options: EstimationOptions) -> EstimatorSettings:
+        """The settings of the trial, or those of `options.params`, with what the options override.
+
+        Args:
+            options: Options of a call; where one is None, the setting stays.
+
+        Raises:
+            ConfigurationError: If the file or an option is wrong.
+        """
+        overrides = options.overrides()
+        if "leave_out" in overrides:
+            overrides["leave_out"] = self.channels(overrides["leave_out"])
+        settings = estimator_settings(self.estimator, overrides, options.params)
+        return self._with_channels(settings)
+
+    def note_problems(self, leave_out: tuple[str, ...] | None = None) -> None:
+        """Note the problems in the data; each is a note, sent to `notify`.
+
+        Args:
+            leave_out: Names of channels that are not checked, such as `distal.Fx` or `Mz`; None
+                stands for those of the trial's settings.
+        """
+        for found in self.problems(leave_out):
+            self.note(str(found))
+
+    def _with_channels(self, settings: EstimatorSettings) -> EstimatorSettings:
         """Settings whose `leave_out` names channels, see `channels`."""
         named = settings.identification.leave_out
         channels = self.channels(named)

@@ -14,11 +14,12 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed import api
-from socket_testbed.api import tradeoff
 from socket_testbed.commands import results
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.fit import evaluate
-from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.results import tradeoff
+from socket_testbed.samples import Samples
+from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 
@@ -37,24 +38,20 @@ def lacking(scene_folder: Path) -> Trial:
 def test_the_paper_counts_samples_of_the_objective(
     lacking: Trial, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fit(trial: Trial, segment: str, *, variant: Any, **others: Any) -> api.TrialFit:
-        settings = IdentificationSettings(variant=variant)
-        samples = trial.samples()
+    def fit(trial: Trial, segment: Segment, samples: Samples, settings: Any) -> api.TrialFit:
         used = samples[samples.has_pose_and_wrench]
         made = results_by_hand.fit_by_hand(used, trial.geometry, settings)
         made = replace(made, errors=evaluate(used, made.model))
-        return api.TrialFit(trial, trial.select(segment), made)
+        return api.TrialFit(trial, segment, made)
 
-    fronts = results_by_hand.fronts_by_hand()
-    traded = api.Tradeoff(lacking, lacking.select("all"), fronts)
-    monkeypatch.setattr(tradeoff, "fit", fit)
-    monkeypatch.setattr(tradeoff, "pareto", lambda *_, **__: traded)
+    monkeypatch.setattr(tradeoff, "fit_segment", fit)
+    monkeypatch.setattr(tradeoff, "pareto_front", results_by_hand.fronts_by_hand)
     found = st.paper(lacking, "all")
     assert found.samples == found.document()["samples"] == 89
     remark = found.table.loc["RMSE of Mx [N m]", ("", "remark")]
-    assert "; 96 samples, 1000; " in remark and "4.00 Hz" not in remark
+    assert remark.endswith("; 96 samples, 1000 in the paper") and "4.00 Hz" not in remark
     half = st.paper(lacking, "0:11.75").table.loc["RMSE of Mx [N m]", ("", "remark")]
-    assert "; 48 samples, 1000; " in half
+    assert half.endswith("; 48 samples, 1000 in the paper")
     results._show_paper(found)
     assert capsys.readouterr().out.startswith("scene: all 0.00 s to 23.75 s, 89 samples\n")
 

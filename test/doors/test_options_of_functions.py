@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support import results_by_hand, scene
-from support.arrivals import Stage, changes, options_of, plain, write_files
+from support.arrivals import Stage, changes, plain, write_files
 
 import socket_testbed as st
 from socket_testbed.files import packaged
@@ -159,19 +159,6 @@ def call_evaluate(stage: Stage, **options: Any) -> None:
     stage.seen["segment"] = str(found.segment)
 
 
-def _fitted(stage: Stage) -> Callable[..., Any]:
-    """Stands for `fit` in the paper's pipeline."""
-
-    def fitted(trial: Trial, segment: str, *, variant: str, **choices: Any) -> Any:
-        stage.seen |= {f"{variant}: {name}": plain(value) for name, value in choices.items()}
-        stage.seen[f"{variant}: segment"] = segment
-        fit = SimpleNamespace(errors=(), settings=IdentificationSettings(), samples=3)
-        whole = trial.select("all")
-        return SimpleNamespace(fit=fit, segment=whole)
-
-    return fitted
-
-
 @calls
 def call_pareto(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
@@ -181,23 +168,33 @@ def call_pareto(stage: Stage, **options: Any) -> None:
         report(1, 5)
         return {}
 
-    stage.replace("api.tradeoff.pareto_front", traced)
+    stage.replace("results.tradeoff.pareto_front", traced)
     stage.seen["segment"] = str(st.pareto(stage.trial, **options).segment)
 
 
 @calls
 def call_paper(stage: Stage, **options: Any) -> None:
-    def traced(trial: Trial, segment: str, *, progress: Any, **choices: Any) -> Any:
-        stage.seen |= {f"front: {name}": plain(value) for name, value in choices.items()}
-        stage.seen["front: segment"] = segment
-        if progress is not None:
-            progress("tracing")(1, 5)
-        return SimpleNamespace(fronts={})
+    stage.watch_trials()
 
-    stage.replace("api.tradeoff.fit", _fitted(stage))
-    stage.replace("api.tradeoff.pareto", traced)
-    stage.keep("api.tradeoff.beside_published", returned=pd.DataFrame())
-    st.paper(stage.trial, **options)
+    def arrives(call: str, samples: Any, settings: IdentificationSettings) -> None:
+        chosen = {"samples": len(samples)} | settings.to_flat()
+        stage.seen |= {f"{call}: {name}": value for name, value in chosen.items()}
+
+    def fitted(trial: Trial, segment: Segment, samples: Any, settings: Any) -> Any:
+        arrives(settings.variant, samples, settings)
+        stage.seen[f"{settings.variant}: segment"] = str(segment)
+        return SimpleNamespace(fit=SimpleNamespace(errors=(), settings=settings, samples=3))
+
+    def traced(samples: Any, geometry: Any, settings: Any, values: Any, report: Any) -> Any:
+        arrives("front", samples, settings)
+        stage.seen["values"] = values.tolist()
+        report(1, 5)
+        return {}
+
+    stage.replace("results.tradeoff.fit_segment", fitted)
+    stage.replace("results.tradeoff.pareto_front", traced)
+    stage.keep("results.tradeoff.beside_published", returned=pd.DataFrame())
+    stage.seen["segment"] = str(st.paper(stage.trial, **options).segment)
 
 
 # ------------------------------------------------------------------ force map and pressure
@@ -541,13 +538,17 @@ FIT: Cases = {
     "initial_stiffness": (2000.0, {"initial_stiffness": 2000.0}),
     "solver": ("clarabel", {"solver": "clarabel"}),
 }
-OF_FIT = tuple(name for name in FIT if name not in ("segment", "params"))
-PAPER_CALLS = ("stiffness", "stiffness_bias", "front")
 
 
 def of_paper(name: str, value: Any) -> dict[str, Any]:
     """What an option changes of both fits and of the front."""
-    return {f"{call}: {name}": value for call in PAPER_CALLS}
+    return {f"{call}: {name}": value for call in ("stiffness", "stiffness_bias", "front")}
+
+
+def segment_of_paper(segment: str, samples: int) -> dict[str, Any]:
+    """What a part of the trial changes of both fits, of the front, and of the result."""
+    parts = {"segment": segment, "stiffness: segment": segment, "stiffness_bias: segment": segment}
+    return parts | of_paper("samples", samples)
 
 
 FRONT = SimpleNamespace(name="front")  # the place of a cluster
@@ -623,11 +624,14 @@ CASES: dict[str, Cases] = {
         **{
             name: (value, of_paper(name, value))
             for name, (value, *_) in FIT.items()
-            if name not in ("variant", "leave_out")
+            if name != "variant"
         },
-        "leave_out": (("Mz",), of_paper("leave_out", ("Mz",))),
-        "thetas": (3, {"front: thetas": 3}),
-        PROGRESS: (PROGRESS, {"tracing": (1, 5)}),
+        "segment": ("2:5", {"part": "2:5", **segment_of_paper(SPAN, 13)}),
+        "params": ("params.yaml", of_paper("theta", 0.2) | {"least force": 30.0}),
+        "leave_out": (("Mz",), of_paper("leave_out", ["Mz"]) | LEFT_OUT),
+        "frames": (7, of_paper("frames", 7) | segment_of_paper("all 0.00 s to 1.50 s", 7)),
+        "thetas": (3, {"values": [0.0, 0.5, 1.0]}),
+        PROGRESS: (PROGRESS, {"solving for every theta": (1, 5)}),
     },
     "force_map": {
         "segment": (
@@ -697,6 +701,7 @@ CASES: dict[str, Cases] = {
         "segment": ("2:5", {"part": "2:5", "samples": 13}),
         "params": ("params.yaml", {"theta": 0.2, "least force": 30.0}),
         "theta": (0.25, {"theta": 0.25}),
+        "weights": ("noise", {"weights": "noise"}),
         "smoothness": (0.5, {"smoothness": 0.5}),
         "leave_out": (
             ("Mz",),
@@ -732,7 +737,11 @@ CASES: dict[str, Cases] = {
         "about": ((0.0, 0.0, 0.1), {"lever of Fx [m]": [0.1, 0.1]}),
     },
     "write_report": {
-        **{name: (case[0], {name: plain(case[0])}) for name, case in FIT.items()},
+        **{
+            name: (case[0], {name: plain(case[0])})
+            for name, case in FIT.items()
+            if name != "variant"
+        },
         "segment": ("2:5", {"part": "2:5"}),
         "params": ("params.yaml", {"theta": 0.2, "least force": 30.0}),
         "leave_out": (("Mz",), {"leave_out": ["Mz"]}),
@@ -835,14 +844,6 @@ CASES: dict[str, Cases] = {
 }
 
 
-def of_choices(name: str) -> tuple[str, ...]:
-    """Options that a function takes as `choices`, as its docstring lists them."""
-    but = {"pareto": ("variant", "theta"), "paper": ("variant",), "write_report": ()}
-    if name == "validate":
-        return ("theta", "smoothness", "leave_out", "pose_smoothing", "solver")
-    return tuple(each for each in OF_FIT if each not in but[name]) if name in but else ()
-
-
 # The effects of their options are in test_imports.py, test_imported_tables.py, test_own_law.py.
 ELSEWHERE = {"import_trial", "register_law"}
 FUNCTIONS = {
@@ -852,12 +853,8 @@ FUNCTIONS = {
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_option_has_a_case(name: str) -> None:
-    function = FUNCTIONS[name]
-    assert options_of(function, of_choices(name)) - {"choices"} == {*CASES[name]}
-    has_choices = any(
-        each.kind is each.VAR_KEYWORD for each in inspect.signature(function).parameters.values()
-    )
-    assert has_choices == bool(of_choices(name))
+    _trial, *options = inspect.signature(FUNCTIONS[name]).parameters
+    assert {*options} == {*CASES[name]}
 
 
 def arrived(stage: Stage, name: str, options: dict[str, Any]) -> dict[str, Any]:

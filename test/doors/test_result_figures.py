@@ -412,7 +412,9 @@ def test_a_calibration_names_axes_and_marks(drawn_bench: Figure) -> None:
 
 def test_a_trade_off_names_trial_and_part(trial: Trial) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("socket_testbed.api.tradeoff.pareto_front", results_by_hand.fronts_by_hand)
+        patch.setattr(
+            "socket_testbed.results.tradeoff.pareto_front", results_by_hand.fronts_by_hand
+        )
         found = st.pareto(trial, "all", thetas=4)
     figure = found.figure()
     title = "scene, all 0.00 s to 23.75 s: trade-off between wrench and clusters"

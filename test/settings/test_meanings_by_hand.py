@@ -256,11 +256,12 @@ def test_settings_of_one_run_are_not_stored(tmp_path: Path) -> None:
 
 
 def test_choices_come_before_a_file_s_and_the_stored(tmp_path: Path) -> None:
-    stored = testbed.estimator_settings(testbed.EstimatorSettings(), theta=0.25, frames=9)
+    usual = testbed.EstimatorSettings()
+    stored = testbed.estimator_settings(usual, {"theta": 0.25, "frames": 9})
     assert (stored.identification.theta, stored.identification.frames) == (0.25, 9)
-    kept = testbed.estimator_settings(stored, theta=None, frames=7)
+    kept = testbed.estimator_settings(stored, {"frames": 7})
     assert (kept.identification.theta, kept.identification.frames) == (0.25, 7)
     path = tmp_path / "testbed.yaml"
     path.write_text("estimator_node: {ros__parameters: {identification: {frames: 3}}}")
-    other = testbed.estimator_settings(stored, path, theta=0.75)
+    other = testbed.estimator_settings(stored, {"theta": 0.75}, path)
     assert (other.identification.theta, other.identification.frames) == (0.75, 3)

@@ -4,13 +4,14 @@ import inspect
 import re
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, get_type_hints
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 import socket_testbed as st
 from socket_testbed.commands import calls
-from socket_testbed.settings import identification, options
+from socket_testbed.settings import options
 from socket_testbed.socket_design.tiling import TilingSettings
 
 TAKEN: dict[Callable[..., Any], type[options.Options]] = {
@@ -32,12 +33,6 @@ TAKEN: dict[Callable[..., Any], type[options.Options]] = {
     st.validate: options.ValidationOptions,
     st.view: options.PageOptions,
     st.write_report: options.ReportOptions,
-}
-CHOICES = {
-    st.pareto: identification.FrontChoices,
-    st.paper: identification.PaperChoices,
-    st.validate: identification.ValidationChoices,
-    st.write_report: identification.ReportChoices,
 }
 OWN = {(st.view, "port")}  # any free port, where a verb has one that is known
 FREE = {"columns", "units"}  # mappings, which are words on the command line
@@ -80,15 +75,16 @@ def test_an_option_has_one_default(function: Callable[..., Any], item: Any) -> N
 
 @pytest.mark.parametrize("function", TAKEN, ids=lambda function: function.__name__)
 def test_an_option_has_its_parameter(function: Callable[..., Any]) -> None:
-    keywords = get_type_hints(CHOICES[function]) if function in CHOICES else {}
-    known = {*inspect.signature(function).parameters, *keywords}
+    known = {*inspect.signature(function).parameters}
     assert {item.name for item in fields(TAKEN[function])} <= known
 
 
-@pytest.mark.parametrize("function", CHOICES, ids=lambda function: function.__name__)
-def test_keywords_have_the_types_of_options(function: Callable[..., Any]) -> None:
-    keywords, declared = get_type_hints(CHOICES[function]), get_type_hints(TAKEN[function])
-    assert keywords.items() <= declared.items()
+def test_an_override_is_a_setting_that_is_given() -> None:
+    """Not the prior of a report, which is a survey, though a setting has this name."""
+    given = {"theta": 0.25, "leave_out": ["Mz"], "smoothness": 0.0}
+    assert options.EstimationOptions(params=Path("a"), **given).overrides() == given
+    assert options.ReportOptions(prior=Path("a"), thetas=3, frames=0).overrides() == {"frames": 0}
+    assert options.PaperOptions().overrides() == {"weights": "raw", "frames": 1000}
 
 
 METAVARS = {

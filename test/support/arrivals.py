@@ -1,6 +1,5 @@
 """What of a call arrives at the next layer, and what an option changes of it."""
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -133,13 +132,6 @@ def changes(usual: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any
     names = dict.fromkeys((*usual, *found))
     pairs = {name: (usual.get(name, _NOTHING), found.get(name, _NOTHING)) for name in names}
     return {name: new for name, (old, new) in pairs.items() if old != new}
-
-
-def options_of(function: Callable[..., Any], choices: tuple[str, ...] = ()) -> set[str]:
-    """The parameters of a function except its subject, with further ones for `**choices`."""
-    parameters = [*inspect.signature(function).parameters.values()][1:]
-    named = {each.name for each in parameters if each.kind is not each.VAR_KEYWORD}
-    return named | {*choices}
 
 
 def write_files(folder: Path) -> None:
