@@ -13,7 +13,7 @@ from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import SocketAxis, socket_axis, wall_tiles
 from socket_testbed.geometry.socket import SECTOR_TURNS, SocketGeometry
-from socket_testbed.identification.force_map import matern
+from socket_testbed.identification.map_prior import matern
 from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.settings.options import Side
 

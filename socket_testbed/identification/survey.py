@@ -50,14 +50,12 @@ from scipy.special import ndtri, stdtrit
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import (
+from socket_testbed.identification.map_posterior import (
     AMPLITUDE_FREEDOM,
-    Hypothesis,
-    Prior,
-    hypotheses,
     likely_ones,
     probabilities,
 )
+from socket_testbed.identification.map_prior import Hypothesis, Prior, hypotheses
 from socket_testbed.identification.validation import LEVELS, close_wrench, inverse_distance
 from socket_testbed.samples import FORCES, MOMENTS, WRENCH_CHANNELS
 from socket_testbed.settings.identification import ForceMapSettings

@@ -31,14 +31,9 @@ from socket_testbed import documents
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
-from socket_testbed.identification.force_map import (
-    EVIDENCE_POWER,
-    Family,
-    Hypothesis,
-    Prior,
-    axes_of,
-    likely_ones,
-)
+from socket_testbed.identification.force_map import axes_of
+from socket_testbed.identification.map_posterior import EVIDENCE_POWER, Family, likely_ones
+from socket_testbed.identification.map_prior import Hypothesis, Prior
 from socket_testbed.identification.survey import (
     MAX_MISMATCH,
     Donned,

@@ -25,7 +25,7 @@ from socket_testbed.documents import Document, FieldError, read_document
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Point, RotationRows, ScanPoint, about_z, check_rotation
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
-from socket_testbed.identification.force_map import Prior, hypotheses
+from socket_testbed.identification.map_prior import Prior, hypotheses
 from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.socket_design.squares import (
     Footprints,

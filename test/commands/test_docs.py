@@ -17,7 +17,8 @@ from socket_testbed.identification import (
     channel_check,
     courses,
     data_check,
-    force_map,
+    map_posterior,
+    map_prior,
     plausibility,
     pressure,
     problem,
@@ -173,7 +174,7 @@ NUMBERS = {
         f"above {1e-3 * pressure.THRESHOLD:g} kPa (`--threshold`)",
         f"from {pressure._DRAWS} joint draws",
         f"widened by {pressure._PEAK_WIDENING:g}",
-        f"+- {force_map._TILE_SHARE_SPREAD:.0%}, or {ForceMapSettings.share:.0%} +-"
+        f"+- {map_prior._TILE_SHARE_SPREAD:.0%}, or {ForceMapSettings.share:.0%} +-"
         f" {ForceMapSettings.share_spread:.0%} if the file",
     ),
     "segments": (
@@ -183,8 +184,8 @@ NUMBERS = {
     ),
     "force_map": (
         f"draws {ForceMapSettings.draws} hypotheses",
-        f"evidence to the power {force_map.EVIDENCE_POWER:g}",
-        f"+- {force_map._TILE_SHARE_SPREAD:g} (`tile_share`",
+        f"evidence to the power {map_posterior.EVIDENCE_POWER:g}",
+        f"+- {map_prior._TILE_SHARE_SPREAD:g} (`tile_share`",
     ),
 }
 

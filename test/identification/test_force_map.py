@@ -10,15 +10,9 @@ from support.problems import GEOMETRY, make_samples, ring_socket
 
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.regions import all_regions, proximal_direction
-from socket_testbed.identification import force_map as maps
-from socket_testbed.identification import pressure
-from socket_testbed.identification.force_map import (
-    ForceMap,
-    Hypothesis,
-    Prior,
-    hypotheses,
-    wall_correlation,
-)
+from socket_testbed.identification import map_prior, pressure
+from socket_testbed.identification.force_map import ForceMap
+from socket_testbed.identification.map_prior import Hypothesis, Prior, hypotheses, wall_correlation
 from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -40,7 +34,7 @@ def whole_prior(sizes: Hypothesis) -> np.ndarray:
     tiles = len(GEOMETRY)
     correlation = wall_correlation(GEOMETRY, sizes.length)
     shares = np.diag([sizes.bed_shear, sizes.bed_shear, 1.0])
-    bed = shares @ maps._rigid_motions(GEOMETRY, sizes.arm)
+    bed = shares @ map_prior._rigid_motions(GEOMETRY, sizes.arm)
     bed /= np.sqrt((bed**2).sum(axis=(0, 1)) / tiles)
     bed *= [sizes.bed, sizes.bed, sizes.sinking, *[sizes.rotation] * 3]
     bed = bed.reshape(-1, 6)

@@ -10,10 +10,11 @@ from support.problems import GEOMETRY, make_case, make_samples
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification import contact, force_map, problem
+from socket_testbed.identification import contact, force_map, map_posterior, map_prior, problem
 from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.contact import Loading, PaperLaw, RigidLaw
-from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
+from socket_testbed.identification.map_posterior import JointDraws
 from socket_testbed.samples import Samples, Status, check_channels, local_channels
 from socket_testbed.settings.identification import (
     ForceMapSettings,
@@ -348,13 +349,13 @@ def test_unknown_channels_have_a_hint(name: str, hint: str) -> None:
 
 def test_correlation_falls_with_distance() -> None:
     """(1 + x) exp(-x) at x = sqrt(3) d / l: 2 / e at l / sqrt(3)."""
-    found = force_map.matern(np.array([0.0, 0.04 / np.sqrt(3.0), 0.04]), 0.04)
+    found = map_prior.matern(np.array([0.0, 0.04 / np.sqrt(3.0), 0.04]), 0.04)
     assert found == pytest.approx([1.0, 2.0 / np.e, 0.4833577])
 
 
 def test_unlikely_hypotheses_do_not_count() -> None:
     """Of evidence to the power 0.6, less than 1 / 500 of the likeliest."""
-    found = force_map.probabilities(3.0 + np.log([1.0, 0.5, 3.2e-5, 3.1e-5]))
+    found = map_posterior.probabilities(3.0 + np.log([1.0, 0.5, 3.2e-5, 3.1e-5]))
     assert found == pytest.approx(np.array([1.0, 0.6597540, 0.0020094, 0.0]) / 1.6617634, rel=1e-4)
 
 
@@ -366,7 +367,7 @@ def test_a_magnitude_is_uncertain_by_rice() -> None:
 
 def test_the_first_hypothesis_has_the_medians() -> None:
     settings = ForceMapSettings()
-    first, *others = force_map.hypotheses(settings, None)
+    first, *others = map_prior.hypotheses(settings, None)
     for name in ("length", "shear", "preload", "bed", "sinking", "rotation", "bed_shear"):
         assert getattr(first, name) == pytest.approx(getattr(settings, name)), name
     for name in ("bed_variation", "arm", "drag", "share", "moment_error", "force_error"):
@@ -379,7 +380,7 @@ def test_the_first_hypothesis_has_the_medians() -> None:
 def test_hypotheses_have_their_spreads() -> None:
     """Standard deviations over 256 even points: each has its own."""
     settings = replace(ForceMapSettings(), draws=256, share=0.5, share_spread=0.05, drag_spread=0.3)
-    found = [*force_map.hypotheses(settings, None)]
+    found = [*map_prior.hypotheses(settings, None)]
     for name, spread in (
         ("length", settings.length_spread),
         ("cluster_error", settings.cluster_error_spread),
@@ -394,7 +395,7 @@ def test_hypotheses_have_their_spreads() -> None:
 def test_the_wall_under_the_tiles_bears_its_share() -> None:
     """Within 0.03, whatever the settings say of other sockets."""
     settings = replace(ForceMapSettings(), draws=256, share=0.5, share_spread=0.2)
-    shares = [each.share for each in force_map.hypotheses(settings, 0.7)]
+    shares = [each.share for each in map_prior.hypotheses(settings, 0.7)]
     assert shares[0] == pytest.approx(0.7)
     assert np.mean(shares) == pytest.approx(0.7, abs=0.002)
     assert np.std(shares) == pytest.approx(0.03, rel=0.08)
@@ -412,23 +413,23 @@ def test_a_map_knows_its_tiles_share() -> None:
     assert half / whole == pytest.approx(0.5, abs=0.1)
 
 
-def sizes(**changes: float) -> force_map.Hypothesis:
-    first = next(iter(force_map.hypotheses(ForceMapSettings(), None)))
+def sizes(**changes: float) -> map_prior.Hypothesis:
+    first = next(iter(map_prior.hypotheses(ForceMapSettings(), None)))
     return replace(first, **changes)
 
 
 def test_noise_is_of_its_channels() -> None:
     errors = {"moment_error": 0.2, "force_error": 3.0, "cluster_error": 0.5}
-    plain = force_map.Prior(SOCKET, CLUSTERS, sizes(**errors, cluster_gain_error=0.0))
+    plain = map_prior.Prior(SOCKET, CLUSTERS, sizes(**errors, cluster_gain_error=0.0))
     np.testing.assert_allclose(plain.noise, [0.04] * 3 + [9.0] * 3 + [0.25] * 12)
-    gained = force_map.Prior(SOCKET, CLUSTERS, sizes(**errors, cluster_gain_error=0.1))
+    gained = map_prior.Prior(SOCKET, CLUSTERS, sizes(**errors, cluster_gain_error=0.1))
     extra = 0.01 * np.diag(gained.signal)[6:]
     np.testing.assert_allclose(gained.noise, plain.noise + np.r_[np.zeros(6), extra])
 
 
 def test_the_wrench_bears_the_whole_load() -> None:
     """Tiles that bear half of the load: a force of 1 N on one of them makes 2 N of the wrench."""
-    prior = force_map.Prior(SOCKET, CLUSTERS, sizes(share=0.5))
+    prior = map_prior.Prior(SOCKET, CLUSTERS, sizes(share=0.5))
     tile = SOCKET.names.index("ant_mid")
     normal = prior.mapping[:, 3 * tile + 2]  # inwards, along -x of {S}, at 50 mm along x
     assert normal[3:6] == pytest.approx([-2.0, 0.0, 0.0], abs=1e-12)

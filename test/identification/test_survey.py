@@ -10,7 +10,8 @@ from support.problems import GEOMETRY, make_samples
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import survey
 from socket_testbed.identification.contact import wrench_map
-from socket_testbed.identification.force_map import ForceMap, Prior, hypotheses
+from socket_testbed.identification.force_map import ForceMap
+from socket_testbed.identification.map_prior import Prior, hypotheses
 from socket_testbed.identification.survey import Donned, JointMap, JudgedPoint, match_loads, score
 from socket_testbed.settings.identification import ForceMapSettings
 

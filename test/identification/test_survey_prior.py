@@ -14,7 +14,9 @@ from support.surveys import prior_by_hand, write_survey_file
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.contact import wrench_map
-from socket_testbed.identification.force_map import Family, ForceMap, Prior, hypotheses
+from socket_testbed.identification.force_map import ForceMap
+from socket_testbed.identification.map_posterior import Family
+from socket_testbed.identification.map_prior import Prior, hypotheses
 from socket_testbed.identification.survey import Donned, JointMap
 from socket_testbed.identification.survey_prior import SurveyPrior, learnt, read_survey
 from socket_testbed.samples import Samples

@@ -31,7 +31,8 @@ from scipy.spatial.transform import Rotation
 from socket_testbed.calibration.model import Calibration, ClusterCalibration, write_calibration
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, write_socket
-from socket_testbed.identification.force_map import JointDraws, MapEstimate
+from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.identification.map_posterior import JointDraws
 from socket_testbed.samples import Samples
 from socket_testbed.simulation.trial import SimulatedTrial, write_simulated_trial
 from socket_testbed.trials.metadata import TrialMetadata, write_metadata

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import hypotheses
+from socket_testbed.identification.map_prior import hypotheses
 from socket_testbed.identification.survey import Donned
 from socket_testbed.identification.survey_prior import FORMAT, SurveyPrior
 from socket_testbed.settings.identification import ForceMapSettings
