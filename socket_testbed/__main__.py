@@ -14,46 +14,9 @@ if __name__ == "__main__" or sys.argv[0].endswith("socket-testbed"):
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
 
 from socket_testbed.commands.arguments import Parser, add_options, release_paths
-from socket_testbed.commands.calls import CALLS
+from socket_testbed.commands.calls import CALLS, GROUPS
 from socket_testbed.errors import TestbedError, likely
 from socket_testbed.version import __version__
-
-# For each verb: the module of its function, and an example.
-_GROUPS = {
-    "try": {"demo": ("demo", "")},
-    "set up": {
-        "tile": ("design", "scan.stl -o socket.yaml"),
-        "calibrate": ("design", "bench.csv --cluster distal -o calibration.yaml"),
-        "register": ("design", "static.csv --landmarks landmarks.yaml --socket socket.yaml"),
-        "doctor": ("live", "--press"),
-    },
-    "in the lab": {
-        "run": ("live", "--record trials/s01 --view"),
-        "record": ("live", "trials/s01"),
-        "mark": ("mark", "push"),
-        "view": ("pages", "trials/s01"),
-        "import": ("imports", "lab_bag -o trials/s01 --rate 25"),
-        "simulate": ("trials", "-o trials/protocol --scenario protocol --duration 60"),
-    },
-    "afterwards": {
-        "info": ("trials", "trials/s01"),
-        "annotate": ("trials", "trials/s01 --subject S01 --side left --mass 82.5"),
-        "report": ("pages", "trials/s01 -o s01.html"),
-        "pressure": ("results", "trials/s01 --segment hold -o s01.csv --figure s01.pdf"),
-        "compare": ("pages", "trials/gel trials/sock --segment hold"),
-        "survey": ("pages", "trials/a trials/b trials/c -o survey.html"),
-        "fit": ("results", "trials/s01 -o s01.json"),
-        "evaluate": ("results", "trials/s02 --model s01.json"),
-        "validate": ("results", "trials/s01 trials/s02"),
-        "replay": ("live", "trials/s01 --estimate"),
-        "export": ("trials", "trials/s01 -o s01.csv --pressure"),
-        "map": ("results", "trials/s01 -o map.csv"),
-        "pareto": ("results", "trials/s01 --thetas 21 --figure front.pdf"),
-        "paper": ("results", "trials/s01"),
-    },
-}
-VERBS = {verb: module for group in _GROUPS.values() for verb, (module, _) in group.items()}
-EXAMPLES = {verb: example for group in _GROUPS.values() for verb, (_, example) in group.items()}
 
 
 def main() -> None:
@@ -80,33 +43,37 @@ def _parse(words: list[str]) -> argparse.Namespace:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     verb = next(iter(words), "-")
     called, arguments = parser, words
-    if verb not in VERBS:
-        parser.epilog = "\n\n".join(
-            "\n".join([f"{title}:", *(f"  {name:<10} {CALLS[name].summary}" for name in group)])
-            for title, group in _GROUPS.items()
-        )
-    for name in [verb] if verb in VERBS else VERBS:
-        example = f"example:\n  socket-testbed {name} {EXAMPLES[name]}"
+    if verb not in CALLS:
+        parser.epilog = "\n\n".join(map(_described, GROUPS))
+    for name in [verb] if verb in CALLS else CALLS:
+        call = CALLS[name]
+        example = f"example:\n  socket-testbed {name} {call.example}"
         subparser = verbs.add_parser(
             name,
-            description=CALLS[name].summary,
-            epilog="\n\n".join(filter(None, [example, CALLS[name].epilog])),
+            description=call.summary,
+            epilog="\n\n".join(filter(None, [example, call.epilog])),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
         if name == verb:
-            add_options(subparser, CALLS[verb])
-            called, arguments = subparser, [verb, *release_paths(words[1:], CALLS[verb])]
+            add_options(subparser, call)
+            called, arguments = subparser, [verb, *release_paths(words[1:], call)]
     if completed is not None:
         _complete(parser)
     called.words = words
-    if not verb.startswith("-") and verb not in VERBS:
-        hint = likely(verb, VERBS) or f"use one of {', '.join(VERBS)}"
+    if not verb.startswith("-") and verb not in CALLS:
+        hint = likely(verb, CALLS) or f"use one of {', '.join(CALLS)}"
         parser.exit(2, f"socket-testbed: error: unknown verb '{verb}': {hint}\n")
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         called.error(f"not understood: {' '.join(unknown)}")
     return options
+
+
+def _described(title: str) -> str:
+    """A group of verbs in the help, one per line."""
+    summaries = (f"  {call.__name__.lower():<10} {call.summary}" for call in GROUPS[title])
+    return "\n".join([f"{title}:", *summaries])
 
 
 def _complete(parser: argparse.ArgumentParser) -> None:
@@ -138,7 +105,7 @@ def run(arguments: list[str] | None = None) -> int:
 
         os.environ |= graph_environment()
         function = verb + "_" * keyword.iskeyword(verb)
-        resolve_name(f"socket_testbed.commands.{VERBS[verb]}:{function}")(**options)
+        resolve_name(f"socket_testbed.commands.{CALLS[verb].module}:{function}")(**options)
         sys.stdout.flush()
     except TestbedError as error:
         print(f"socket-testbed {verb}: error: {error}", file=sys.stderr)

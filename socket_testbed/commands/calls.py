@@ -10,7 +10,7 @@ import functools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, ParamSpec, TypeVar
+from typing import ClassVar, Literal, ParamSpec, TypeVar
 
 from socket_testbed.settings.options import (
     DONNING,
@@ -78,6 +78,31 @@ _LANDMARK_FILE = """LANDMARKS.yaml names the markers and gives the landmarks' co
 All keys are required; load_cell and limb name three landmarks or more, as in the take.
 With three, or with more in one plane, a wrong sign has no residual: add another off the plane.
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Call(Options):
+    """Base class of verbs' calls, with what the command line says of a verb."""
+
+    module: ClassVar[str]
+    summary: ClassVar[str]
+    example: ClassVar[str]
+    epilog: ClassVar[str]
+
+    def __init_subclass__(
+        cls, module: str, summary: str, example: str = "", epilog: str = ""
+    ) -> None:
+        """Keep what the command line says of a verb.
+
+        Args:
+            module: The module of `commands` with the verb's function, which has the verb's name;
+                that of `import` is `import_`.
+            summary: What the verb does.
+            example: Words of a call after the verb.
+            epilog: Text of the help below the options.
+        """
+        super().__init_subclass__()
+        cls.module, cls.summary, cls.example, cls.epilog = module, summary, example, epilog
 
 
 def takes(call: Callable[P, C]) -> Callable[[Callable[[C], None]], Callable[P, None]]:
@@ -182,7 +207,9 @@ class SimulatedOptions(Options, heading="for simulated hardware"):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(
-    Options, summary="run the simulated testbed live, replay its trial, and show the errors"
+    Call,
+    module="demo",
+    summary="run the simulated testbed live, replay its trial, and show the errors",
 ):
     """Options of `demo`."""
 
@@ -194,7 +221,14 @@ class Demo(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tile(TileOptions, ReplaceOptions, summary="turn a scan into tiles, frames and neighbours"):
+class Tile(
+    Call,
+    TileOptions,
+    ReplaceOptions,
+    module="design",
+    summary="turn a scan into tiles, frames and neighbours",
+    example="scan.stl -o socket.yaml",
+):
     """Options of `tile`."""
 
     scan: Path = argument("STL, PLY or OBJ file")
@@ -216,10 +250,13 @@ class Tile(TileOptions, ReplaceOptions, summary="turn a scan into tiles, frames 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(
+    Call,
     CalibrationOptions,
     DrawOptions,
     ReplaceOptions,
+    module="design",
     summary="fit a cluster's coefficients to bench data and show their quality",
+    example="bench.csv --cluster distal -o calibration.yaml",
 ):
     """Options of `calibrate`."""
 
@@ -232,10 +269,13 @@ class Calibrate(
 
 @dataclass(frozen=True, kw_only=True)
 class Register(
+    Call,
     RegistrationOptions,
     ReplaceOptions,
+    module="design",
     summary="locate the marker bodies' frames from a static take and landmarks",
     epilog=_LANDMARK_FILE,
+    example="static.csv --landmarks landmarks.yaml --socket socket.yaml",
 ):
     """Options of `register`."""
 
@@ -247,9 +287,12 @@ class Register(
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(
+    Call,
     ConfigurationOptions,
     SimulatedOptions,
+    module="live",
     summary="check every connection, and say how to fix what fails",
+    example="--press",
 ):
     """Options of `doctor`."""
 
@@ -265,11 +308,14 @@ class Doctor(
 
 @dataclass(frozen=True, kw_only=True)
 class Run(
+    Call,
     ConfigurationOptions,
     EstimatorOptions,
     MetadataOptions,
     SimulatedOptions,
+    module="live",
     summary="start the testbed, real or simulated, and record it",
+    example="--record trials/s01 --view",
 ):
     """Options of `run`."""
 
@@ -295,7 +341,13 @@ class Run(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(MetadataOptions, summary="record the graph as a trial"):
+class Record(
+    Call,
+    MetadataOptions,
+    module="live",
+    summary="record the graph as a trial",
+    example="trials/s01",
+):
     """Options of `record`."""
 
     directory: Path = argument("folder of the new trial")
@@ -305,7 +357,12 @@ class Record(MetadataOptions, summary="record the graph as a trial"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mark(Options, summary="mark an event in the running graph, for the trial being recorded"):
+class Mark(
+    Call,
+    module="mark",
+    summary="mark an event in the running graph, for the trial being recorded",
+    example="push",
+):
     """Options of `mark`."""
 
     label: str = argument("label of the event, such as push")
@@ -314,11 +371,14 @@ class Mark(Options, summary="mark an event in the running graph, for the trial b
 
 @dataclass(frozen=True, kw_only=True)
 class View(
+    Call,
     PageOptions,
     TrialFiles,
     PriorOptions,
+    module="pages",
     summary="view the running testbed, or play a trial, in a browser: pressure map, wrench,"
     " sensors",
+    example="trials/s01",
 ):
     """Options of `view`."""
 
@@ -337,14 +397,26 @@ class View(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulate(SimulationOptions, summary="write a simulated trial with its ground truth"):
+class Simulate(
+    Call,
+    SimulationOptions,
+    module="trials",
+    summary="write a simulated trial with its ground truth",
+    example="-o trials/protocol --scenario protocol --duration 60",
+):
     """Options of `simulate`."""
 
     output: Path = required("folder of the new trial")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Import(ImportOptions, summary="make a trial from other sensors' topics or tables"):
+class Import(
+    Call,
+    ImportOptions,
+    module="imports",
+    summary="make a trial from other sensors' topics or tables",
+    example="lab_bag -o trials/s01 --rate 25",
+):
     """Options of `import`."""
 
     source: list[Path] = argument("folder or storage file of a bag, or tables")
@@ -355,7 +427,13 @@ class Import(ImportOptions, summary="make a trial from other sensors' topics or 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info(TrialFiles, summary="show the contents of a trial: topics, rates, gaps, plateau"):
+class Info(
+    Call,
+    TrialFiles,
+    module="trials",
+    summary="show the contents of a trial: topics, rates, gaps, plateau",
+    example="trials/s01",
+):
     """Options of `info`."""
 
     trial: Path = argument("folder of the trial")
@@ -363,8 +441,11 @@ class Info(TrialFiles, summary="show the contents of a trial: topics, rates, gap
 
 @dataclass(frozen=True, kw_only=True)
 class Annotate(
+    Call,
     MetadataOptions,
+    module="trials",
     summary="set and show a trial's metadata: subject code, side, socket, liner and more",
+    example="trials/s01 --subject S01 --side left --mass 82.5",
 ):
     """Options of `annotate`."""
 
@@ -374,10 +455,13 @@ class Annotate(
 
 @dataclass(frozen=True, kw_only=True)
 class Report(
+    Call,
     BatchOptions,
     DrawOptions,
     ReportOptions,
+    module="pages",
     summary="write a page with a trial's results: figures, errors, data quality",
+    example="trials/s01 -o s01.html",
 ):
     """Options of `report`."""
 
@@ -388,11 +472,14 @@ class Report(
 
 @dataclass(frozen=True, kw_only=True)
 class Pressure(
+    Call,
     BatchOptions,
     PressureOptions,
     DrawOptions,
     TableOptions,
+    module="results",
     summary="pressure by region: mean, peak, contact area, time integral, shear, load",
+    example="trials/s01 --segment hold -o s01.csv --figure s01.pdf",
 ):
     """Options of `pressure`."""
 
@@ -419,10 +506,13 @@ class Pressure(
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(
+    Call,
     OpenOptions,
     ComparisonOptions,
     TableOptions,
+    module="pages",
     summary="compare trials side by side, with their differences",
+    example="trials/gel trials/sock --segment hold",
 ):
     """Options of `compare`."""
 
@@ -440,11 +530,14 @@ class Compare(
 
 @dataclass(frozen=True, kw_only=True)
 class Survey(
+    Call,
     SensorFiles,
     SurveyOptions,
     DrawOptions,
     TableOptions,
+    module="pages",
     summary="judge and complete the map of one limb by trials with moved clusters",
+    example="trials/a trials/b trials/c -o survey.html",
 ):
     """Options of `survey`."""
 
@@ -464,9 +557,12 @@ class Survey(
 
 @dataclass(frozen=True, kw_only=True)
 class Fit(
+    Call,
     BatchOptions,
     FitOptions,
+    module="results",
     summary="identify the contact model on a trial, or on every trial of a folder",
+    example="trials/s01 -o s01.json",
 ):
     """Options of `fit`."""
 
@@ -475,9 +571,12 @@ class Fit(
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(
+    Call,
     BatchOptions,
     EvaluationOptions,
+    module="results",
     summary="compute a model's errors on a trial, or on every trial of a folder",
+    example="trials/s02 --model s01.json",
 ):
     """Options of `evaluate`."""
 
@@ -492,11 +591,14 @@ class Evaluate(
 
 @dataclass(frozen=True, kw_only=True)
 class Validate(
+    Call,
     TrialFiles,
     ValidationOptions,
     DrawOptions,
     TableOptions,
+    module="results",
     summary="judge estimates on held-out data, against simple rivals",
+    example="trials/s01 trials/s02",
 ):
     """Options of `validate`."""
 
@@ -509,9 +611,12 @@ class Validate(
 
 @dataclass(frozen=True, kw_only=True)
 class Replay(
+    Call,
     TrialFiles,
     EstimatorOptions,
+    module="live",
     summary="publish a trial with /clock; --estimate runs the estimator on it",
+    example="trials/s01 --estimate",
 ):
     """Options of `replay`."""
 
@@ -526,10 +631,13 @@ class Replay(
 
 @dataclass(frozen=True, kw_only=True)
 class Export(
+    Call,
     OpenOptions,
     ExportOptions,
     ReplaceOptions,
+    module="trials",
     summary="write a trial's samples as CSV, Parquet or MAT, or for OpenSim and C3D",
+    example="trials/s01 -o s01.csv --pressure",
 ):
     """Options of `export`."""
 
@@ -544,11 +652,14 @@ class Export(
 
 @dataclass(frozen=True, kw_only=True)
 class Map(
+    Call,
     OpenOptions,
     MapOptions,
     DrawOptions,
     ReplaceOptions,
+    module="results",
     summary="estimate the force on every tile with its uncertainty, without a fit",
+    example="trials/s01 -o map.csv",
 ):
     """Options of `map`."""
 
@@ -562,11 +673,14 @@ class Map(
 
 @dataclass(frozen=True, kw_only=True)
 class Pareto(
+    Call,
     OpenOptions,
     FrontOptions,
     DrawOptions,
     TableOptions,
+    module="results",
     summary="trace the trade-off between wrench and clusters over theta",
+    example="trials/s01 --thetas 21 --figure front.pdf",
 ):
     """Options of `pareto`."""
 
@@ -577,24 +691,27 @@ class Pareto(
 
 @dataclass(frozen=True, kw_only=True)
 class Paper(
+    Call,
     OpenOptions,
     PaperOptions,
     TableOptions,
+    module="results",
     summary="run the published pipeline and compare its figures with the published ones",
+    example="trials/s01",
 ):
     """Options of `paper`."""
 
     trial: Path = argument("folder of the trial")
 
 
-# For each verb, its call; the name of a verb's function is that of the verb, that of `import`
-# `import_`.
-CALLS: dict[str, type[Options]] = {
-    call.__name__.lower(): call
-    for call in (
-        *(Demo, Tile, Calibrate, Register, Doctor),
-        *(Run, Record, Mark, View, Simulate, Import),
+# The verbs in the order of the help, by what a user wants to do.
+GROUPS: dict[str, tuple[type[Call], ...]] = {
+    "try": (Demo,),
+    "set up": (Tile, Calibrate, Register, Doctor),
+    "in the lab": (Run, Record, Mark, View, Import, Simulate),
+    "afterwards": (
         *(Info, Annotate, Report, Pressure, Compare, Survey, Fit, Evaluate, Validate),
         *(Replay, Export, Map, Pareto, Paper),
-    )
+    ),
 }
+CALLS = {call.__name__.lower(): call for group in GROUPS.values() for call in group}  # by verb

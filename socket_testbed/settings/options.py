@@ -122,19 +122,15 @@ class Options:
     """Base class of options; the fields of a subclass document themselves by their texts."""
 
     heading: ClassVar[str] = ""
-    summary: ClassVar[str] = ""
-    epilog: ClassVar[str] = ""
 
-    def __init_subclass__(cls, heading: str = "", summary: str = "", epilog: str = "") -> None:
-        """Keep what the help says of a class, and append `Attributes:` to its docstring.
+    def __init_subclass__(cls, heading: str = "") -> None:
+        """Keep the heading of a class, and append `Attributes:` to its docstring.
 
         Args:
             heading: Heading of its options in the help; empty for the usual one.
-            summary: For a verb, what it does.
-            epilog: For a verb, the text below its options.
         """
         super().__init_subclass__()
-        cls.heading, cls.summary, cls.epilog = heading, summary, epilog
+        cls.heading = heading
         if cls.__doc__:  # `python -OO` strips it
             entries = (
                 f"    {name}: {declared.metadata['text']}."

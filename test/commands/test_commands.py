@@ -12,7 +12,7 @@ from support.bags import of_another_socket
 from support.verbs import call, program, refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
+from socket_testbed.__main__ import _parse, run
 from socket_testbed.commands import demo
 from socket_testbed.commands.arguments import Parser, add_options
 from socket_testbed.commands.calls import CALLS
@@ -23,10 +23,10 @@ from socket_testbed.trials.segment import NAMED
 from socket_testbed.trials.trial import Trial
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", CALLS)
 def test_every_verb_explains_its_options(verb: str, capsys) -> None:
     """Its example is understood, and what names an output file can replace it."""
-    assert _parse([verb, *EXAMPLES[verb].split()]).verb == verb
+    assert _parse([verb, *CALLS[verb].example.split()]).verb == verb
     with pytest.raises(SystemExit) as ended:
         run([verb, "--help"])
     out = capsys.readouterr().out

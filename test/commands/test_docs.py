@@ -12,7 +12,7 @@ from support import CHECKOUT
 from support.verbs import program
 
 from socket_testbed import __version__, clocks
-from socket_testbed.__main__ import VERBS
+from socket_testbed.commands.calls import CALLS
 from socket_testbed.identification import (
     channel_check,
     courses,
@@ -84,7 +84,7 @@ def test_the_readme_names_targets_that_exist() -> None:
 
 def test_the_readme_names_every_verb() -> None:
     rows = PAGES[0].read_text().partition("| for | verbs")[2].partition("\n\n")[0]
-    assert set(re.findall(r"`([a-z]+)`", rows)) == set(VERBS)
+    assert set(re.findall(r"`([a-z]+)`", rows)) == set(CALLS)
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)

@@ -24,8 +24,8 @@ from support.arrivals import (
 )
 
 from socket_testbed import api
-from socket_testbed.__main__ import VERBS
 from socket_testbed.commands import demo, live
+from socket_testbed.commands.calls import CALLS
 from socket_testbed.errors import TestbedError
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import GraphNode
@@ -531,7 +531,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 SHARED = {"tare": "recorded", "width": 180, "title": True}  # by several verbs
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", CALLS)
 def test_defaults_are_the_documented_ones(verb: str) -> None:
     """Other options are not given by default."""
     own = defaults_of_verb(verb)

@@ -25,7 +25,8 @@ from support.arrivals import (
 )
 
 from socket_testbed import api
-from socket_testbed.__main__ import VERBS, _parse
+from socket_testbed.__main__ import _parse
+from socket_testbed.commands.calls import CALLS
 from socket_testbed.errors import TestbedError
 from socket_testbed.trials.trial import Trial
 
@@ -563,7 +564,7 @@ CASES: dict[str, Cases] = {
 LIVE = {"demo", "doctor", "run", "record", "mark", "view", "replay"}  # in another module
 
 
-@pytest.mark.parametrize("verb", sorted({*VERBS} - LIVE))
+@pytest.mark.parametrize("verb", sorted({*CALLS} - LIVE))
 def test_every_option_has_a_case(verb: str) -> None:
     batch = {*BATCH} if verb in ROWS else set()
     assert {*defaults_of_verb(verb)} == {*CASES[verb]} | batch
