@@ -25,6 +25,7 @@ from socket_testbed.samples import Status
 MIN_GAIN = 100.0  # [Pa/pF]; a smaller gain has another unit
 
 _ROUNDING = 1e-9  # [pF]; of a feature at the end of the range; a converter resolves 1e-6
+_MAX_NEWTON_STEPS, _TOLERANCE = 20, 1e-11  # [1], [pF]; of the inverse
 _OK, _SATURATED, _MISSING, _OUT_OF_RANGE = (np.uint8(status) for status in Status)
 
 SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
@@ -207,6 +208,33 @@ _HEADER = """\
 # baseline: the inputs of the unloaded cluster on the bench [pF].
 # bench: origin and quality of a cluster's coefficients.
 """
+
+
+def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
+    """Capacitances by the converter's input, (N, 4) [pF], for which a calibration gives stresses.
+
+    Args:
+        calibration: Calibration of the cluster.
+        stress: Normal stress (positive in compression), shear x and shear y in the cluster's frame
+            {L}, shape (N, 3) [Pa].
+    """
+    mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
+    x, y = np.zeros((2, len(stress)))
+    _, cx, cy, cxx, cxy, cyy = calibration.shear.T[:, :, None]
+    for _ in range(_MAX_NEWTON_STEPS):
+        missing_x, missing_y = (stress[:, 1:] - shear_terms(x, y) @ calibration.shear.T).T
+        (a, c), (b, d) = cx + 2.0 * cxx * x + cxy * y, cy + cxy * x + 2.0 * cyy * y  # derivatives
+        determinant = a * d - b * c
+        step_x = (d * missing_x - b * missing_y) / determinant
+        step_y = (a * missing_y - c * missing_x) / determinant
+        x, y = x + step_x, y + step_y
+        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < _TOLERANCE:
+            break
+    # Channels from mean and differences; the fourth combination, a twist, is zero.
+    channels = mean[:, None] + 0.5 * np.column_stack([x, y]) @ SHEAR_SIGNS
+    inputs = np.empty_like(channels)
+    inputs[:, calibration.wiring] = channels
+    return inputs
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:

@@ -23,7 +23,7 @@ from socket_testbed.alignment.align import Aligned, Series, SourceBuffer
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
 from socket_testbed.alignment.source_clock import RunningClock
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.calibration.model import Calibration
+from socket_testbed.calibration.model import Calibration, invert_calibration
 from socket_testbed.documents import Document, convert, read_document
 from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.drivers.load_cell.load_cell import iso_time, refuse_tare
@@ -40,7 +40,6 @@ from socket_testbed.settings.alignment import (
     LiveWrenchSettings,
 )
 from socket_testbed.settings.options import WrenchOf
-from socket_testbed.simulation.sensors import invert_calibration
 from socket_testbed.trials import foreign
 from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.imported import WrenchDocument

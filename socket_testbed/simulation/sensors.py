@@ -9,14 +9,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.calibration.model import SHEAR_SIGNS, ClusterCalibration, shear_terms
+from socket_testbed.calibration.model import (
+    ClusterCalibration,
+    invert_calibration,
+)
 from socket_testbed.geometry.pose import Pose, about_z
 from socket_testbed.geometry.socket import SocketGeometry
 
 CAMERA_RATE = 240.0  # [Hz]
 _NOISE_SPAN = 0.25  # [s]; of the mean to which the sizes of a wrench's noise refer
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
-_MAX_NEWTON_STEPS, _TOLERANCE = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
 _SHAKING_RATE = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
 _SOCKET_IN_WORLD = Pose(
@@ -149,33 +151,6 @@ LIKE_PAPER = SensorErrors(
 )
 # The channels that the paper leaves out of the objective.
 LIKE_PAPER_LEFT_OUT = ("distal.Fx", "distal.Fy", "posterior_distal.Fx")
-
-
-def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
-    """Capacitances by the converter's input, (N, 4) [pF], for which a calibration gives stresses.
-
-    Args:
-        calibration: Calibration of the cluster.
-        stress: Normal stress (positive in compression), shear x and shear y in the cluster's frame
-            {L}, shape (N, 3) [Pa].
-    """
-    mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
-    x, y = np.zeros((2, len(stress)))
-    _, cx, cy, cxx, cxy, cyy = calibration.shear.T[:, :, None]
-    for _ in range(_MAX_NEWTON_STEPS):
-        missing_x, missing_y = (stress[:, 1:] - shear_terms(x, y) @ calibration.shear.T).T
-        (a, c), (b, d) = cx + 2.0 * cxx * x + cxy * y, cy + cxy * x + 2.0 * cyy * y  # derivatives
-        determinant = a * d - b * c
-        step_x = (d * missing_x - b * missing_y) / determinant
-        step_y = (a * missing_y - c * missing_x) / determinant
-        x, y = x + step_x, y + step_y
-        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < _TOLERANCE:
-            break
-    # Channels from mean and differences; the fourth combination, a twist, is zero.
-    channels = mean[:, None] + 0.5 * np.column_stack([x, y]) @ SHEAR_SIGNS
-    inputs = np.empty_like(channels)
-    inputs[:, calibration.wiring] = channels
-    return inputs
 
 
 class ClusterSensor:

@@ -9,9 +9,8 @@ import yaml
 from support import verbs
 from support.benches import FULL_SCALE, HEADER, bench_of, nominal, sensor_bench, write_bench
 
-from socket_testbed.calibration.model import read_calibration
+from socket_testbed.calibration.model import invert_calibration, read_calibration
 from socket_testbed.files import packaged
-from socket_testbed.simulation.sensors import invert_calibration
 
 SOCKET, CALIBRATION = (packaged("config", f"{name}.yaml") for name in ("socket", "calibration"))
 WIRING = ("--wiring", 2, 3, 0, 1)  # of the package's own 'distal', whose sensor is simulated

@@ -14,6 +14,7 @@ from support import scene
 from support.clocks import FakeClock
 from support.problems import GEOMETRY
 
+from socket_testbed.calibration.model import invert_calibration
 from socket_testbed.errors import TestbedError as SimulationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.simulation import sensors
@@ -293,7 +294,7 @@ def test_a_longer_mean_is_less_noisy(span: float, factor: float) -> None:
 def test_a_stress_gives_its_capacitances() -> None:
     """40 kPa: 5 + 2 pF; dx = -0.1, dy = 4 / 30 pF; inputs 1, 0, 3, 2 are the channels."""
     own = scene.calibration().clusters["mid_anterior"]
-    found = sensors.invert_calibration(own, np.array([[40e3, -3e3, 4e3]]))
+    found = invert_calibration(own, np.array([[40e3, -3e3, 4e3]]))
     np.testing.assert_allclose(found, [[7.0166667, 7.1166667, 6.8833333, 6.9833333]], atol=1e-6)
 
 

@@ -6,9 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.calibration.bench_data import BenchData
-from socket_testbed.calibration.model import ClusterCalibration, read_calibration
+from socket_testbed.calibration.model import (
+    ClusterCalibration,
+    invert_calibration,
+    read_calibration,
+)
 from socket_testbed.files import packaged
-from socket_testbed.simulation.sensors import ClusterSensor, SensorErrors, invert_calibration
+from socket_testbed.simulation.sensors import ClusterSensor, SensorErrors
 
 HEADER = ("time [s]", "normal [kPa]", "shear_x [kPa]", "shear_y [kPa]")
 HEADER += ("c0 [pF]", "c1 [pF]", "c2 [pF]", "c3 [pF]")
