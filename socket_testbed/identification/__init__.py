@@ -15,11 +15,11 @@ gate that judges samples once for everything else. It has three rule books:
 - `plausibility`: single values and whole channels against what a person, a socket or a wall can do:
   units, outliers, signs, a wrench without load.
 - `data_check`: whole sources against each other and over time. It brings into order what other
-  modules find: `course_check` (reversed, late, exchanged, drifting) in the `courses` of load,
-  clusters and limb, compared by `correlation`; `channel_check` (missing, frozen, clipped, noisy);
-  `sudden_changes` (spikes, steps, jumps); and `trials.raw_check`, which judges readings that no
-  longer show in samples: raw capacitances, ratios of bridges, markers. Each reports defects as in
-  `data_finding`.
+  modules find, where every rule is one function: `unit_check` (units and frames, from sizes);
+  `course_check` (reversed, late, exchanged, drifting) in the `courses` of load, clusters and limb,
+  compared by `correlation`; `channel_check` (missing, frozen, clipped, noisy); `sudden_changes`
+  (spikes, steps, jumps); and `trials.raw_check`, which judges readings that no longer show in
+  samples: raw capacitances, ratios of bridges, markers. Each reports defects as in `data_finding`.
 - `noise`: how large the noise of a channel and the error of a measurement are. It refuses nothing.
 
 Whether a model is believable is another question: `information` shows what the trial's motion

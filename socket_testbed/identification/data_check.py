@@ -1,10 +1,10 @@
 """Is a trial's data good, and if not, which source needs a look? No model is needed.
 
-Units are judged first: a source in another unit is named, and what else it seems to show is its
-unit's doing. Then come the defects that the readings show (`trials.raw_check`), and the courses
-against the load and each other (`course_check`). If all of that is good, sources that drift are
-named, or else the cluster that contradicts the force map of the others and the wrench. Last comes
-each source alone (`channel_check`), and what changes suddenly (`sudden_changes`).
+Units are judged first (`unit_check`): a source in another unit is named, and what else it seems to
+show is its unit's doing. Then come the defects that the readings show (`trials.raw_check`), and the
+courses against the load and each other (`course_check`). If all of that is good, sources that drift
+are named, or else the cluster that contradicts the force map of the others and the wrench. Last
+comes each source alone (`channel_check`), and what changes suddenly (`sudden_changes`).
 
 The thresholds of all checks leave a margin to 200 sound simulated trials of 20 to 300 s (four
 scenarios, soft and stiff, 0.5 to 100 Hz). What a single trial cannot reveal stands in
@@ -13,14 +13,13 @@ scenarios, soft and stiff, 0.5 to 100 Hz). What a single trial cannot reveal sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain, groupby
+from itertools import chain
 
 import numpy as np
 
-from socket_testbed.arrays import evenly, finite_quantile
-from socket_testbed.errors import IdentificationError
+from socket_testbed.arrays import evenly
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.channel_check import check_channels
@@ -39,14 +38,8 @@ from socket_testbed.identification.force_map import (
 )
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, measurement_errors
 from socket_testbed.identification.sudden_changes import find_jumps, find_spikes, find_steps
-from socket_testbed.samples import (
-    GRAVITY,
-    MOMENTS,
-    WRENCH_CHANNELS,
-    Samples,
-    force_magnitude,
-    local_channels,
-)
+from socket_testbed.identification.unit_check import LOAD, POSE, check_units
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, local_channels
 from socket_testbed.settings.identification import ForceMapSettings
 
 # [-]; innovation of a cluster over its deviation; pressure is skewed: sound -1.4 to 2.8
@@ -54,13 +47,6 @@ INNOVATIONS = (-1.9, 3.5)
 LOCAL_VARIATION = 4e3  # [Pa]; of pressure under a single tile, beyond what the map's prior knows
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 CAPACITY = "of its full scale"  # words of a finding
-AREA_RATIO = (0.1, 10.0)  # [-]; squared distance of neighbouring tiles over their area; 1.5
-MIN_LEVER = 3e-4  # [m]; usual moment over usual load; sound 0.0076 and more
-LOAD_RANGE = (0.12, 5.0)  # [-]; load over the weight of a stated mass; 0.10 for kgf when standing
-MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
-MOMENT_CHANNELS = tuple(WRENCH_CHANNELS[MOMENTS])
-LOAD = "load"  # stands for the size of the load among names of channels
-POSE = "pose"  # stands for the limb's pose among names of channels
 
 
 def check_data(
@@ -93,42 +79,60 @@ def check_data(
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
-    units = [*_areas(geometry), *_units(samples.centred(), geometry, mass, leave_out)]
-    found = [finding for finding, _ in units]
+    doubts = check_units(samples.centred(), geometry, mass, leave_out)
+    found = [each.finding for each in doubts]
     # Whatever else a channel in another unit seems to show, its unit causes.
-    unclear = tuple(chain.from_iterable(channels for _, channels in units))
+    unclear = tuple(chain.from_iterable(each.channels for each in doubts))
     leave_out = (*leave_out, *unclear)
     found += _known(raw, leave_out, unclear)
     if outliers is None or unclear:
         outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
     if POSE in unclear:
-        nothing = np.full_like(samples.position, np.nan)
-        counted = replace(counted, position=nothing, rotation=nothing)
+        counted = _without_pose(counted)
     if noise is None or unclear:
         noise = channel_noise(counted)
     steps = [*find_steps(counted, noise)]
     if whole:
-        in_doubt = LOAD in unclear
-        posed = _without_faulty_pose(counted, raw)
-        found_over_time = [*check_courses(posed, geometry, noise, in_doubt)]
-        found += found_over_time
-        if not found_over_time and not in_doubt:
-            of_posed = steps if posed is counted else find_steps(posed, noise)
-            stepped = {each.source for each in of_posed}
-            found += [*find_drifts(posed, geometry, stepped)] or [
-                *_disagreements(counted, geometry, noise, prior_map)
-            ]
-    stopped = {each.source for each in raw if STILL in each.fact}
-    found += [
-        each
-        for each in check_channels(samples, noise, leave_out)
-        if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
-    ]
+        found += _over_time(counted, geometry, noise, LOAD in unclear, raw, steps, prior_map)
+    found += _not_stopped(check_channels(samples, noise, leave_out), raw)
     found += [*find_jumps(counted), *find_spikes(counted, noise), *steps]
     notes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in notes]
     return tuple(found)
+
+
+def _over_time(
+    samples: Samples,
+    geometry: SocketGeometry,
+    noise: ChannelNoise,
+    load_in_doubt: bool,
+    raw: tuple[DataFinding, ...],
+    steps: list[DataFinding],
+    prior_map: Callable[[ForceMapSettings], ForceMap] | None,
+) -> list[DataFinding]:
+    """Sources that contradict the load or each other; else those that drift; else the cluster.
+
+    Each is judged only if what goes before is good, as it would show there as well.
+    """
+    posed = _without_faulty_pose(samples, raw)
+    found = [*check_courses(posed, geometry, noise, load_in_doubt)]
+    if found or load_in_doubt:
+        return found
+    if posed is not samples:
+        steps = [*find_steps(posed, noise)]
+    drifts = [*find_drifts(posed, geometry, {each.source for each in steps})]
+    return drifts or [*_contradicting_cluster(samples, geometry, noise, prior_map)]
+
+
+def _not_stopped(
+    found: Iterable[DataFinding], raw: tuple[DataFinding, ...]
+) -> Iterator[DataFinding]:
+    """The findings, without channels that stand still because a reading of their source does."""
+    stopped = {each.source for each in raw if STILL in each.fact}
+    for finding in found:
+        if STILL not in finding.fact or finding.source.rpartition(".")[0] not in stopped:
+            yield finding
 
 
 def _without_faulty_pose(samples: Samples, raw: tuple[DataFinding, ...]) -> Samples:
@@ -137,6 +141,11 @@ def _without_faulty_pose(samples: Samples, raw: tuple[DataFinding, ...]) -> Samp
     faulty = any(STILL in each.fact or each.hint.startswith(WRITE_QUATERNIONS) for each in of_pose)
     if not faulty and not any(find_jumps(samples)):
         return samples
+    return _without_pose(samples)
+
+
+def _without_pose(samples: Samples) -> Samples:
+    """The samples, without any pose."""
     nothing = np.full_like(samples.position, np.nan)
     return replace(samples, position=nothing, rotation=nothing)
 
@@ -156,86 +165,18 @@ def _known(
             yield finding
 
 
-def _areas(geometry: SocketGeometry) -> Iterator[tuple[DataFinding, tuple[str, ...]]]:
-    """Areas of tiles that do not fit their distances; with no channel, as in `_units`."""
-    one, other = geometry.neighbours.T
-    if not len(one):
-        return
-    squares = ((geometry.anchors[one] - geometry.anchors[other]) ** 2).sum(axis=1)
-    areas = np.sqrt(geometry.areas[one] * geometry.areas[other])
-    ratio = float(np.median(squares / areas))
-    if not AREA_RATIO[0] <= ratio <= AREA_RATIO[1]:
-        area, distance = 1e4 * np.median(areas), 1e3 * np.sqrt(np.median(squares))
-        finding = DataFinding(
-            "the socket",
-            f"its tiles have {area:.2g} cm^2, and the next one is {distance:.2g} mm away",
-            "check that areas are in m^2 and anchors in m in socket.yaml",
-        )
-        yield finding, ()
-
-
-def _units(
-    samples: Samples, geometry: SocketGeometry, mass: float | None, leave_out: tuple[str, ...]
-) -> Iterator[tuple[DataFinding, tuple[str, ...]]]:
-    """Units and frames, which show in sizes: of single channels, the force and the rotation.
-
-    Each finding comes with the names of the channels whose unit it doubts.
-    """
-    try:
-        plausibility.require_position(samples, geometry)
-    except IdentificationError as error:
-        yield DataFinding("the units", error.fact, error.hint), (POSE,)
-    wrong = [*plausibility.wrong_units(samples, geometry, leave_out)]
-    for channels, excess in wrong:
-        yield DataFinding("the units", excess.fact, excess.hint), channels
-    if wrong:
-        return
-    proposed = plausibility.find_implausible(samples, geometry)
-    implausible = [each for each in proposed if each.channel not in leave_out]
-    for source, group in groupby(implausible, lambda each: each.channel.rpartition(".")[0]):
-        own = [*group]  # of the wrench, then of each cluster
-        channels = tuple(dict.fromkeys(each.channel for each in own))
-        hint = "check that moments are in N m and forces in N, and the load cell's channels"
-        if source:
-            hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
-        finding = DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
-        yield finding, () if source else MOMENT_CHANNELS
-    size = finite_quantile(force_magnitude(samples.wrench), 0.95)
-    moment = finite_quantile(np.linalg.norm(samples.wrench[:, MOMENTS], axis=1), 0.95)
-    counted = not {*MOMENT_CHANNELS} & {*leave_out}
-    if counted and size > plausibility.MIN_LOAD and 0.0 < moment < MIN_LEVER * size:
-        finding = DataFinding(
-            "the wrench",
-            f"its moment of {moment:.2g} N m is that of its force of {size:.3g} N at a lever of"
-            f" {1e3 * moment / size:.2g} mm",
-            "check that moments are in N m (kN m?), and the load cell's matrix",
-        )
-        yield finding, MOMENT_CHANNELS
-    weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
-    if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
-        finding = DataFinding(
-            "the wrench",
-            f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
-            "check that forces are in N (kgf, kN?), and the mass",
-        )
-        yield finding, (LOAD,)
-    angle = finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
-    if angle > MAX_ROTATION:
-        finding = DataFinding(
-            "the limb pose",
-            f"the limb turns by {np.degrees(angle):.0f} deg in the socket",
-            "check the order of the quaternion (x, y, z, w), and the marker bodies",
-        )
-        yield finding, (POSE,)
-
-
-def _disagreements(
+def _contradicting_cluster(
     samples: Samples,
     geometry: SocketGeometry,
     noise: ChannelNoise,
     prior_map: Callable[[ForceMapSettings], ForceMap] | None = None,
 ) -> Iterator[DataFinding]:
-    """The cluster, if any, that contradicts the others and the wrench most."""
+    """The cluster, if any, that contradicts the others and the wrench most.
+
+    Its mean pressure under load lies outside `INNOVATIONS`, in standard deviations from what the
+    force map expects there without it; these include its own error and `LOCAL_VARIATION`. At least
+    one sample needs a load of `MIN_COMPARED_LOAD`.
+    """
     loaded = samples[samples.under_load(MIN_COMPARED_LOAD)]
     if not len(loaded):
         return

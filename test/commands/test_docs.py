@@ -23,6 +23,7 @@ from socket_testbed.identification import (
     pressure,
     problem,
     sudden_changes,
+    unit_check,
 )
 from socket_testbed.live.sources import check_sources
 from socket_testbed.nodes import estimator_node, recorder_node
@@ -137,8 +138,8 @@ NUMBERS = {
         f"correlation below {courses.REVERSED}; sound",
         f"varies by {courses.LOCAL_SHARE[1]:g} times their share of the load (by area), or is"
         f" {courses.MAX_BORNE:g} times the load",
-        f"a lever below {1e3 * data_check.MIN_LEVER:g} mm",
-        f"below {data_check.LOAD_RANGE[0]:g} or above {data_check.LOAD_RANGE[1]:g} body weights",
+        f"a lever below {1e3 * unit_check.MIN_LEVER:g} mm",
+        f"below {unit_check.LOAD_RANGE[0]:g} or above {unit_check.LOAD_RANGE[1]:g} body weights",
         f"a lag above {courses.MAX_LAG} s",
         f"a lag above {courses.MAX_POSE_LAG} s",
         f"behind load and pose at a lag above {courses.MAX_CLUSTER_LAG} s",
@@ -146,7 +147,7 @@ NUMBERS = {
         f"an input with {raw_check.NOISE_RATIO:g} times the noise",
         f"{raw_check.MAX_REPEATED:.0%} of the readings of a source repeat",
         f"{1e3 * sudden_changes.POSE_JUMPS[0]:g} mm or {sudden_changes.POSE_JUMPS[1]} rad",
-        f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
+        f"turns by {np.degrees(unit_check.MAX_ROTATION):.0f} degrees",
         f"mean pressure {data_check.INNOVATIONS[1]} sigma above or {-data_check.INNOVATIONS[0]}"
         " below",
         f"{1e-3 * data_check.LOCAL_VARIATION:g} kPa for a single tile's own",
