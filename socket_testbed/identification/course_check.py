@@ -47,7 +47,10 @@ MIN_MIRRORED_GAIN = 0.3  # [-]; over that of the forces as they are; sound <= -0
 
 
 def _small_load(courses: Courses) -> Iterator[DataFinding]:
-    """A wrench that changes far less than the forces on the clusters."""
+    """A wrench that changes far less than the forces on the clusters: `courses.LOCAL_SHARE`.
+
+    Not if its size is reported already.
+    """
     if courses.load_is_too_small and not courses.load_in_doubt:
         yield DataFinding(
             "the wrench",
@@ -59,7 +62,10 @@ def _small_load(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _little_load(courses: Courses) -> Iterator[DataFinding]:
-    """A wrench of far less force than the clusters bear, though it may hardly change."""
+    """A wrench of far less force than the clusters bear, though it may hardly change.
+
+    They bear `courses.MAX_BORNE` times as much. Not if its size is reported already.
+    """
     if courses.load_in_doubt or courses.load_is_too_small:
         return
     if courses.bears_too_little:
@@ -74,14 +80,22 @@ def _little_load(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _negated_wrench(courses: Courses) -> Iterator[DataFinding]:
-    """A wrench that pulls at a pressed socket, or that falls as the clusters are pressed."""
+    """A wrench that pulls at a pressed socket, or that falls as the clusters are pressed.
+
+    It pulls by more than `plausibility.HANGING_WEIGHT`, or most clusters correlate with it below
+    `courses.REVERSED`.
+    """
     if courses.sign_note:
         hint = "check the sign of the load cell's channels"
         yield DataFinding("the wrench", courses.sign_note, hint)
 
 
 def _pulling_wrench(courses: Courses) -> Iterator[DataFinding]:
-    """A wrench that pulls at the socket for a while, as one that was tared under load."""
+    """A wrench that pulls at the socket for a while, as one that was tared under load.
+
+    It pulls with `MAX_PULL` in `PULL_QUANTILE` of the samples. Not if it is negated, or its size is
+    reported already.
+    """
     if courses.sign_note or courses.load_in_doubt or not np.isfinite(courses.load).any():
         return
     pull = -finite_quantile(courses.load, PULL_QUANTILE)
@@ -96,7 +110,10 @@ def _pulling_wrench(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _small_clusters(courses: Courses) -> Iterator[DataFinding]:
-    """Clusters that are loaded, but far less than the load."""
+    """Clusters that are loaded, but far less than the load: `courses.LOCAL_SHARE` of its change.
+
+    The load must change by `courses.MIN_LOAD_CHANGE`.
+    """
     if not courses.load_shows_others:
         return
     if 0.0 < courses.clusters_change < LOCAL_SHARE[0] * courses.load_change:
@@ -108,19 +125,35 @@ def _small_clusters(courses: Courses) -> Iterator[DataFinding]:
         )
 
 
-def _late_sources(courses: Courses) -> Iterator[DataFinding]:
-    """Sources that follow the load too late or too early."""
+def _late_behind_the_load(courses: Courses) -> Iterator[DataFinding]:
+    """All clusters, or the pose, late or early against the load by more than `courses.MAX_LAG`."""
     for name, lag in courses.lags.items():
-        how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
-        yield DataFinding(name, how, "check the clocks and the delays of the sources")
+        yield _late(name, lag, "the load cell")
+
+
+def _late_beside_the_load(courses: Courses) -> Iterator[DataFinding]:
+    """A pose or clusters that are late or early in the limb's motion beside the load.
+
+    The limits are `courses.MAX_POSE_LAG` behind the moments, and else `courses.MAX_CLUSTER_LAG`
+    behind load and pose.
+    """
     for name, lag in courses.motion_lags.items():
         against = "the moments of the load cell" if name == "the limb pose" else "the limb's motion"
-        how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against {against}"
-        yield DataFinding(name, how, "check the clocks and the delays of the sources")
+        yield _late(name, lag, against)
+
+
+def _late(source: str, lag: float, against: str) -> DataFinding:
+    """A source that is late by a lag, or early by a negative one [s]."""
+    how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against {against}"
+    return DataFinding(source, how, "check the clocks and the delays of the sources")
 
 
 def _horizontal_axes(courses: Courses) -> Iterator[DataFinding]:
-    """Horizontal axes of the load cell or of the marker bodies that do not agree."""
+    """Horizontal axes of the load cell or of the marker bodies that do not agree.
+
+    Rotation and moment correlate better in other axes, by `courses.MIN_AXES_GAIN`. The clusters
+    say which of the two is wrong, if their fit differs by `MIN_POSE_GAIN`.
+    """
     if not courses.wrong_axes or courses.motion is None:
         return
     axes = courses.wrong_axes
@@ -152,7 +185,10 @@ def _horizontal_axes(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _unlikely_heights(courses: Courses) -> Iterator[DataFinding]:
-    """Horizontal forces whose moments would take a leg of several metres."""
+    """Horizontal forces whose moments would take a leg of more than `MAX_HEIGHT`.
+
+    They are judged if they correlate by `MIN_HEIGHT_FIT`.
+    """
     height, fit = height_of_forces(courses.samples)
     if fit > MIN_HEIGHT_FIT and height > MAX_HEIGHT:
         yield DataFinding(
@@ -163,7 +199,11 @@ def _unlikely_heights(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _mirrored_forces(courses: Courses) -> Iterator[DataFinding]:
-    """Horizontal forces that have no height at which their moments are those of the wrench."""
+    """Horizontal forces that have no height at which their moments are those of the wrench.
+
+    Mirrored, they correlate with the moments by `MIN_MIRRORED_FIT`, and by `MIN_MIRRORED_GAIN` more
+    than as they are. Not if the sign or the axes of the wrench are reported already.
+    """
     if courses.wrong_axes or courses.sign_note:
         return
     axes, mirrored, own = mirrored_forces(courses.samples)
@@ -177,7 +217,10 @@ def _mirrored_forces(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _exchanged_clusters(courses: Courses) -> Iterator[DataFinding]:
-    """Clusters, each of which follows the motion of the limb at another one's tile."""
+    """Clusters, each of which follows the motion of the limb at another one's tile.
+
+    Their fit is better there by `courses.MIN_EXCHANGE_GAIN`.
+    """
     names = [courses.samples.clusters[column] for column in courses.exchanged]
     if names:
         other = "the other's tile"
@@ -191,7 +234,10 @@ def _exchanged_clusters(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _reversed_clusters(courses: Courses) -> Iterator[DataFinding]:
-    """Clusters that are pressed less while the limb is loaded more."""
+    """Clusters that are pressed less while the limb is loaded more: correlation below `REVERSED`.
+
+    Not if they are exchanged, or the sources are not simultaneous.
+    """
     if not courses.are_simultaneous:
         return
     follows = courses.sense * courses.follows
@@ -205,7 +251,11 @@ def _reversed_clusters(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _idle_clusters(courses: Courses) -> Iterator[DataFinding]:
-    """Clusters whose force follows neither the load nor any other motion or load of the limb."""
+    """Clusters whose force follows neither the load nor any other motion or load of the limb.
+
+    Its correlation with the load is below `MIN_CORRELATION`, wrench and pose explain less than
+    `MIN_EXPLAINED` of it, and it varies by more than `MIN_SIGNAL` times its noise.
+    """
     if not courses.are_simultaneous:
         return
     follows = courses.sense * courses.follows
@@ -226,7 +276,7 @@ def _idle_clusters(courses: Courses) -> Iterator[DataFinding]:
 
 
 def _motion_across(courses: Courses) -> Iterator[DataFinding]:
-    """A limb that does not sink along the socket as it is loaded."""
+    """A limb that does not sink along the socket as it is loaded: cosine below `MIN_SINKING`."""
     if courses.sinking < MIN_SINKING:
         yield DataFinding(
             "the limb pose",
@@ -242,7 +292,8 @@ _RULES_OF_COURSES = (
     _negated_wrench,
     _pulling_wrench,
     _small_clusters,
-    _late_sources,
+    _late_behind_the_load,
+    _late_beside_the_load,
     _horizontal_axes,
     _unlikely_heights,
     _mirrored_forces,
@@ -274,29 +325,43 @@ def find_drifts(
 ) -> Iterator[DataFinding]:
     """Sources that change steadily over the trial, beside what wrench and pose explain.
 
+    A drift shows from `MIN_DRIFT_TIME` on. A pose that drifts explains no cluster.
+
     Args:
         samples: The samples, without outliers and left-out channels, with rotations since the mean
             attitude.
         geometry: The socket.
         stepped: Names of the sources that step, see `find_steps`: a step is no drift.
     """
-    time = samples.time
-    if time[-1] < MIN_DRIFT_TIME:
+    if samples.time[-1] < MIN_DRIFT_TIME:
         return
+    found = [*_drifting_pose(samples, geometry, stepped)]
+    yield from found or _drifting_clusters(samples, geometry, stepped)
+
+
+def _drifting_pose(
+    samples: Samples, geometry: SocketGeometry, stepped: Collection[str]
+) -> Iterator[DataFinding]:
+    """A limb that drifts across the socket by more than `MAX_POSE_DRIFT`, beside the wrench."""
     proximal = proximal_direction(geometry)
     across = samples.position - np.outer(samples.position @ proximal, proximal)
-    drift = float(np.linalg.norm(drift_of(across, samples.wrench, time)))
+    drift = float(np.linalg.norm(drift_of(across, samples.wrench, samples.time)))
     if drift > MAX_POSE_DRIFT and "the limb pose" not in stepped:
         yield DataFinding(
             "the limb pose",
             f"it drifts by {1e3 * drift:.2g} mm across the socket over the trial, beside the load",
             "check that the marker bodies are tight, and the zero of the load cell's moments",
         )
-        return
+
+
+def _drifting_clusters(
+    samples: Samples, geometry: SocketGeometry, stepped: Collection[str]
+) -> Iterator[DataFinding]:
+    """Clusters whose pressure drifts by more than `MAX_DRIFT`, beside wrench and pose."""
     causes = np.hstack([samples.wrench, samples.pose])
     tiles = [geometry.clusters[name] for name in samples.clusters]
     pressures = -samples.trusted_forces[:, :, 2] / geometry.areas[tiles]
-    drifts = drift_of(pressures, causes, time).tolist()
+    drifts = drift_of(pressures, causes, samples.time).tolist()
     for name, drift in zip(samples.clusters, drifts, strict=True):
         if abs(drift) > MAX_DRIFT and name not in stepped:
             yield DataFinding(
