@@ -35,6 +35,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -117,27 +118,53 @@ def find_outliers(
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
     # A channel that is often beyond its limit has another unit: see `require_units`.
-    found: BoolArray = np.asarray((np.abs(values) > limits) & (_usual_sizes(values) <= limits))
+    found = beyond_a_person(values, limits) & (_usual_sizes(values) <= limits)
     known = np.nan_to_num(values)
     # A short load is felt by the load cell and by clusters.
     felt = _rises(known[:, FORCES]) & _rises(known[:, 6:])
     for group in (*GROUPS, slice(6, None)):
-        squares = np.where(found[:, group], 0.0, known[:, group]) ** 2
-        count = int(np.count_nonzero(squares))
-        share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
-        while count >= MIN_VALUES and squares.max() > share * squares.sum():
-            place = np.unravel_index(squares.argmax(), squares.shape)
-            squares[place] = 0.0
-            found[:, group][place] = True
+        found[:, group] |= _dominating(np.where(found[:, group], 0.0, known[:, group]))
         left = np.where(found[:, group], 0.0, known[:, group])
         found[:, group] |= _spikes(left) & ~felt[:, None]
-    return Outliers(_beyond(samples.position, geometry), found)
+    return Outliers(_beyond_the_socket(samples.position, geometry), found)
+
+
+def beyond_a_person(values: FloatArray, limits: FloatArray) -> BoolArray:
+    """Values that no person applies, shape (N, 6 + 3c); missing ones are none.
+
+    It is the one rule for outliers that a single sample shows: the estimator has no other.
+
+    Args:
+        values: Values of the channels, shape (N, 6 + 3c) [N m, N].
+        limits: Their `channel_limits`, shape (6 + 3c,) [N m, N].
+    """
+    return np.asarray(np.abs(values) > limits)
+
+
+def _dominating(values: FloatArray) -> BoolArray:
+    """Values of a group, (N, m), whose squares are too large a part of the group's sum of squares.
+
+    A part above `OUTLIER_SHARE`, or `OUTLIER_RATIO` times the mean square, whichever is lower. The
+    largest one is judged first, then the next one without it. A group needs `MIN_VALUES` values
+    that are not 0.
+    """
+    squares = values**2
+    found = np.zeros(values.shape, dtype=bool)
+    count = int(np.count_nonzero(squares))
+    share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
+    while count >= MIN_VALUES and squares.max() > share * squares.sum():
+        place = np.unravel_index(squares.argmax(), squares.shape)
+        squares[place] = 0.0
+        found[place] = True
+    return found
 
 
 def _spikes(values: FloatArray) -> BoolArray:
     """Single values of a group, (N, m), far above its usual ones and above their neighbours.
 
-    Several spikes raise a sum of squares, which then hides them all.
+    They exceed the `_USUAL_QUANTILE` of the samples' largest values by `SPIKE_RATIO`, and the
+    median of the five values around them is less than half of them. Several spikes raise a sum of
+    squares, which then hides them all.
     """
     sizes = np.abs(values)
     highest = sizes.max(axis=1, initial=0.0)
@@ -252,47 +279,108 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
     load, peak = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []
     for name, values in zip(samples.channels, samples.values.T, strict=True):
-        if load >= MIN_LOAD and name not in WRENCH_CHANNELS[3:]:
-            reasons = _too_large(name, values, load, peak, _reach(geometry))
+        if load >= MIN_LOAD and name not in WRENCH_CHANNELS[FORCES]:
+            channel = _LoadedChannel(name, values, load, peak, _reach(geometry))
+            rules = _RULES_OF_A_MOMENT if name in WRENCH_CHANNELS else _RULES_OF_A_LOCAL_FORCE
+            reasons = filter(None, (rule(channel) for rule in rules))
             found += [Implausible(name, reason) for reason in reasons]
+    for cluster, reason in _often_out_of_range(samples):
+        found += [Implausible(channel, reason) for channel in local_channels(cluster)]
+    return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
+
+
+@dataclass(frozen=True)
+class _LoadedChannel:
+    """A moment or a local force beside the load, in which rules find what is too large for it.
+
+    Attributes:
+        name: Name of the channel.
+        values: Its values, shape (N,) [N m or N].
+        load: Median magnitude of the measured force [N].
+        largest_load: Its peak [N].
+        reach: Distance of the farthest tile from the load cell [m].
+    """
+
+    name: str
+    values: FloatArray
+    load: float
+    largest_load: float
+    reach: float
+
+    @cached_property
+    def size(self) -> float:
+        """Median magnitude of the values [N m or N]."""
+        return finite_quantile(np.abs(self.values), 0.5)
+
+
+def _too_long_lever(moment: _LoadedChannel) -> str | None:
+    """A moment at a longer lever of the load than `LEVER_FACTOR` times the farthest tile's."""
+    size, load = moment.size, moment.load
+    if size <= LEVER_FACTOR * moment.reach * load:
+        return None
+    return (
+        f"the median magnitude of {size:.3g} N m would take the load of {load:.3g} N at a lever of"
+        f" {size / load:.2g} m, where the farthest tile is {moment.reach:.2g} m away"
+    )
+
+
+def _larger_than_the_load(force: _LoadedChannel) -> str | None:
+    """A force on one tile whose median magnitude is above that of the whole load."""
+    size, load = force.size, force.load
+    if size <= load:
+        return None
+    return (
+        f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the total"
+        f" load of {load:.3g} N"
+    )
+
+
+def _higher_peaks_than_the_load(force: _LoadedChannel) -> str | None:
+    """A force on one tile with peaks above `PEAK_RATIO` times those of the load.
+
+    Not if its median says so already.
+    """
+    if force.size > force.load:
+        return None
+    peak, largest = _peak(force.values), force.largest_load
+    if peak <= PEAK_RATIO * largest:
+        return None
+    return (
+        f"its peaks of {peak:.3g} N on one tile are {peak / largest:.2g} times the largest load of"
+        f" {largest:.3g} N"
+    )
+
+
+def _pulling_wall(force: _LoadedChannel) -> str | None:
+    """A normal force in tension by more than `TENSION_SHARE` of the load and `MIN_TENSION`.
+
+    In a tile's frame z points inwards: compression is along -z.
+    """
+    if not force.name.endswith(".Fz"):
+        return None
+    pull, limit = finite_quantile(force.values, 0.5), max(MIN_TENSION, TENSION_SHARE * force.load)
+    if pull <= limit:
+        return None
+    return (
+        f"the wall would pull at the limb with {pull:.3g} N in the median, more than {limit:.3g} N"
+        f" under a load of {force.load:.3g} N"
+    )
+
+
+_RULES_OF_A_MOMENT = (_too_long_lever,)
+_RULES_OF_A_LOCAL_FORCE = (_larger_than_the_load, _higher_peaks_than_the_load, _pulling_wall)
+
+
+def _often_out_of_range(samples: Samples) -> Iterator[tuple[str, str]]:
+    """Clusters saturated or out of range in `OUTSIDE_SHARE` of their readings, each with why."""
     for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
         read = int((status != Status.MISSING).sum())
         outside = int(np.isin(status, (Status.SATURATED, Status.OUT_OF_RANGE)).sum())
         if outside > OUTSIDE_SHARE * read:
-            reason = f"{outside} of {read} readings are saturated or out of the calibrated range"
-            found += [Implausible(channel, reason) for channel in local_channels(cluster)]
-    return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
-
-
-def _too_large(
-    name: str, values: FloatArray, load: float, peak: float, reach: float
-) -> Iterator[str]:
-    """Why a moment or a local force is too large for the load, its peak and the farthest tile."""
-    size, pull = finite_quantile(np.abs(values), 0.5), finite_quantile(values, 0.5)
-    if name in WRENCH_CHANNELS:
-        if size > LEVER_FACTOR * reach * load:
             yield (
-                f"the median magnitude of {size:.3g} N m would take the load of {load:.3g} N at a"
-                f" lever of {size / load:.2g} m, where the farthest tile is {reach:.2g} m away"
+                cluster,
+                f"{outside} of {read} readings are saturated or out of the calibrated range",
             )
-        return
-    if size > load:
-        yield (
-            f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
-            f" total load of {load:.3g} N"
-        )
-    elif _peak(values) > PEAK_RATIO * peak:
-        yield (
-            f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / peak:.2g} times"
-            f" the largest load of {peak:.3g} N"
-        )
-    # In a tile's frame z points inwards: compression is along -z.
-    limit = max(MIN_TENSION, TENSION_SHARE * load)
-    if name.endswith(".Fz") and pull > limit:
-        yield (
-            f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
-            f" {limit:.3g} N under a load of {load:.3g} N"
-        )
 
 
 def _usual_sizes(values: FloatArray) -> FloatArray:
@@ -411,8 +499,12 @@ def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
         )
 
 
-def _beyond(position: FloatArray, geometry: SocketGeometry) -> BoolArray:
-    """Single samples whose limb position is outside the socket, shape (N,)."""
+def _beyond_the_socket(position: FloatArray, geometry: SocketGeometry) -> BoolArray:
+    """Single samples whose limb position is outside the socket, shape (N,).
+
+    It is farther from the usual position than the farthest tile is from the load cell, or from the
+    load cell than `MAX_DISTANCE` times that. If half of the samples are, it has another unit.
+    """
     known = np.isfinite(position).all(axis=1)
     reach = _reach(geometry)
     centre = np.median(position[known], axis=0) if known.any() else np.full(3, np.nan)

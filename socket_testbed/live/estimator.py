@@ -28,7 +28,7 @@ from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit, FittedModel
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.identification.plausibility import channel_limits
+from socket_testbed.identification.plausibility import beyond_a_person, channel_limits
 from socket_testbed.identification.wrench import PoseTrail
 from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
 from socket_testbed.samples import Samples
@@ -134,9 +134,9 @@ class OnlineMap:
         if settings.force_map != self._prior:
             self._prior = settings.force_map
             self._map = ForceMap(self._geometry, sample.clusters, self._prior)
-        usable = np.abs(sample.values) <= self._limits
-        usable &= sample.counted(settings.identification.leave_out)
-        self._newest = sample.blanked(~usable)
+        left_out = ~sample.counted(settings.identification.leave_out)
+        implausible = beyond_a_person(sample.values, self._limits)
+        self._newest = sample.blanked(implausible | left_out)
         if not wanted:
             self._map.learn(self._newest)
             return None
