@@ -36,10 +36,8 @@ from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe
 from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
 from socket_testbed.identification.pareto import Front
-from socket_testbed.identification.pressure import TITLES, interval_end
+from socket_testbed.results import pressure_text
 from socket_testbed.results.cycles import MAX_PANELS
-from socket_testbed.results.pressure import TILE_TITLES
-from socket_testbed.results.pressure_text import cells, limb_cells
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.settings.options import (
     EvaluationOptions,
@@ -54,7 +52,6 @@ from socket_testbed.settings.options import (
 from socket_testbed.tables import Table
 from socket_testbed.trials.trial import Trial
 
-_COLUMNS = 3  # outputs per table
 _MAX_SHOWN = 8  # tiles of a map
 _FRONT_LEGEND = (
     "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
@@ -170,7 +167,7 @@ def _evaluation_row(found: Evaluation) -> Row:
         "theta [-]": found.model.settings.theta,
         "in_sample": "yes" if found.in_sample else "no",
         **error_columns(found.errors, {"": found.errors}),
-        **(pressure_columns(found.pressure) if found.pressure is not None else {}),
+        **(pressure_text.summary_row(found.pressure) if found.pressure is not None else {}),
     }
 
 
@@ -365,47 +362,14 @@ def _pressure_row(found: TrialPressure) -> Row:
     return {
         **segment_columns(len(found.time), found.segment),
         "threshold [kPa]": found.threshold,
-        **pressure_columns(found),
+        **pressure_text.summary_row(found),
     }
 
 
 def pressure_tables(found: TrialPressure) -> str:
     """Tables of the outputs of regions, of tiles under a cluster and of the limb, as text."""
-    geometry, outputs = found.trial.geometry, found.outputs
-    names = [place.name for place in found.places]
-    regions = cells(names, outputs.regions, share=found.share).rename_axis("region")
-    tiles = cells(geometry.names, outputs.tiles, share=found.share)
-    clusters = tiles.iloc[[*geometry.clusters.values()]]
-    clusters.index = [
-        ", ".join(dict.fromkeys(names))
-        for names in zip(clusters.index, geometry.clusters, strict=True)
-    ]
-    clusters = clusters[list(TILE_TITLES)].rename_axis("tile under a cluster")
-    frames = [
-        frame.iloc[:, start : start + _COLUMNS]
-        for frame in (regions, clusters)
-        for start in range(0, frame.shape[1], _COLUMNS)
-    ]
-    if found.suspension is not None:
-        limb = pd.DataFrame({"value": limb_cells(found.suspension, found.share)})
-        frames.append(limb.rename_axis("limb in the socket"))
-    return "\n".join(
-        [
-            *(text_of(Table("outputs", "", frame)) + "\n" for frame in frames),
-            "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
-            f" farther from the value than {found.share:g} of it\n{found.contact}",
-        ]
-    )
-
-
-def pressure_columns(found: TrialPressure) -> Row:
-    """Summary columns: outputs of the whole socket with the ends of their 95 % intervals.
-
-    Values by column name with the unit, such as `peak pressure low [kPa]`; None where unknown.
-    """
-    socket = found.regions.iloc[-1]
-    ends = (interval_end(title, end) for title in TITLES for end in ("low", "high"))
-    return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}
+    tables = (text_of(each) + "\n" for each in pressure_text.printed_tables(found))
+    return "\n".join([*tables, pressure_text.legend(found)])
 
 
 @takes(calls.Map)

@@ -78,6 +78,9 @@ _COLUMNS: dict[str, tuple[str, int | None, float, int]] = {
 }
 TITLES = tuple(_COLUMNS)
 """Columns of the outputs of a region, with their units."""
+_NOT_OF_TILES = ("contact area", "centre of pressure")  # which a single tile does not have
+TILE_TITLES = tuple(title for title in TITLES if not title.startswith(_NOT_OF_TILES))
+"""Columns of the outputs of a tile, with their units."""
 _DECIMALS = {title: column[3] for title, column in _COLUMNS.items()}
 
 

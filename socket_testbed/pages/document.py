@@ -39,14 +39,15 @@ from socket_testbed.identification.pressure import (
     greyness,
     read_column,
 )
+from socket_testbed.results.pressure_text import interval, number
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.options import Side
 from socket_testbed.trials.events import Event
 
-_INTEGRAL = "pressure-time integral [kPa s]"
+_PEAK, _INTEGRAL = "peak pressure [kPa]", "pressure-time integral [kPa s]"
 _BAR_TITLES = (
     "mean pressure [kPa]",
-    "peak pressure [kPa]",
+    _PEAK,
     "contact area [cm^2]",
     _INTEGRAL,
     "share of load [%]",
@@ -371,9 +372,9 @@ def pressure_card(
     Returns:
         The texts `title`, `value`, `interval` and `words`.
     """
-    spec = f"z.{decimals_of('peak pressure [kPa]')}f"
-    number = {"value": f"{value:{sign}{spec}} kPa", "interval": f"{low:{spec}} to {high:{spec}}"}
-    return {"title": title, **number, "words": words}
+    shown = number(_PEAK, value, sign)
+    ends = interval(_PEAK, low, high)
+    return {"title": title, "value": f"{shown} kPa", "interval": ends, "words": words}
 
 
 def check_card(findings: Sequence[DataFinding], notes: Sequence[str]) -> Document:

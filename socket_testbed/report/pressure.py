@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.pressure import NAMED_SEGMENTS, pressure_figure, tile_pressures
 from socket_testbed.identification.pressure import (
     SHARE,
-    TITLES,
     PressureOutputs,
-    decimals_of,
     read_column,
     with_interval,
 )
@@ -22,11 +19,9 @@ from socket_testbed.pages import document
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.results.pressure import TrialPressure, by_place
-from socket_testbed.results.pressure_text import cells, limb_cells
+from socket_testbed.results.pressure_text import number, page_tables
 from socket_testbed.results.report import Results
-from socket_testbed.tables import Table, split_unit
 
-_SENTENCE = ["peak pressure [kPa]", "mean pressure [kPa]", "contact area [cm^2]"]
 _SPANS = {"loaded": "while loaded", "all": "in the trial"}  # by the kind of a segment
 
 
@@ -90,9 +85,8 @@ def _highest(found: TrialPressure, over_trial: PressureOutputs, time: FloatArray
     The times since the first sample of the trial are those of the samples of `over_trial` [s].
     """
     title = "peak pressure [kPa]"
-    number = f"{{:.{decimals_of(title)}f}}".format
     own, highest = (
-        number(float(read_column(outputs.regions, title).value[-1]))
+        number(title, float(read_column(outputs.regions, title).value[-1]))
         for outputs in (found.outputs, over_trial)
     )
     when = time[over_trial.peak_row]
@@ -113,7 +107,7 @@ def section(results: Results) -> Section:
             f" farther than {100.0 * SHARE:g} % of it; {found.contact}. Shear direction is"
             " measured from proximal about the inward normal. 'socket-testbed pressure' gives the"
             " same numbers, also for other segments and thresholds.",
-            *_tables(found),
+            *page_tables(found),
             Heading("Estimation"),
             "From the measurements of clusters and load cell, without a fitted model: a Gaussian"
             f" process over the socket's surface ({found.outputs.source}). How many"
@@ -128,38 +122,6 @@ def section(results: Results) -> Section:
             "force_map.csv": found.outputs.mean_map.by_tile(results.trial.geometry),
         },
     )
-
-
-def _tables(found: TrialPressure) -> Iterator[Table]:
-    """Outputs of the regions, the last one the socket, and of the limb in the socket."""
-    shown = cells([place.name for place in found.places], found.outputs.regions, "{}\n{}")
-    shown = shown.rename(columns=_printed).rename_axis("region")
-    below = "by region, the 95 % interval below each value"
-    shear = TITLES.index("shear [kPa]")
-    first, second = shown.iloc[:, :shear], shown.iloc[:, shear:]
-    yield Table("pressure-regions", f"Pressure and load {below}", first)
-    yield Table("pressure-shear", f"Shear and centre of pressure {below}", second)
-    if found.suspension is not None:
-        column = pd.DataFrame({"over the segment": limb_cells(found.suspension)})
-        yield Table("limb", "Limb in the socket, about the centre of the tiles", column)
-
-
-def describe_pressure(found: TrialPressure) -> str:
-    """The pressure on the socket in a sentence."""
-    socket = cells([place.name for place in found.places], found.outputs.regions).iloc[-1]
-    parts = []
-    for title, value in socket[_SENTENCE].items():
-        name, unit = split_unit(_printed(title))
-        parts.append(f"{name} {value} {unit}")
-    peak = found.outputs.peak_map.normal_pressure[0].argmax()
-    return (
-        f"Pressure over the segment, with 95 % intervals: {'; '.join(parts)}. The peak is on"
-        f" {found.trial.geometry.names[peak]} at {found.peak_time:.2f} s."
-    )
-
-
-def _printed(title: str) -> str:
-    return title.replace("^2", "\N{SUPERSCRIPT TWO}")
 
 
 def _overview(results: Results) -> ReportFigure:

@@ -11,6 +11,7 @@ from socket_testbed.files import PAGES, atomic_output, check_outputs, check_suff
 from socket_testbed.identification.data_finding import GOOD
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
+from socket_testbed.results.pressure_text import describe_pressure
 from socket_testbed.results.report import Results
 from socket_testbed.tables import write_table
 
@@ -103,7 +104,7 @@ def write_report(
 def summarise(results: Results) -> list[str]:
     """One statement each on the pressure, the data, the segment and every model."""
     return [
-        pressure.describe_pressure(results.pressure),
+        describe_pressure(results.pressure),
         "; ".join(map(str, results.data)) or GOOD,
         *models.describe_models(results),
     ]

@@ -14,7 +14,8 @@ from socket_testbed.figures.style import FigureStyle
 from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.differences import DIFFERENCE, VALUE, VALUES, is_clear
-from socket_testbed.identification.pressure import Quantity, decimals_of
+from socket_testbed.identification.pressure import Quantity
+from socket_testbed.results.pressure_text import number
 from socket_testbed.results.result import Result, records
 from socket_testbed.settings.options import Side
 from socket_testbed.tables import NOTHING
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_DIFFERING = 10  # in words
+_LEAST = 1  # decimals of differences, their ends and spreads
 COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
 MAPPED = ("regions", "tiles")  # parts of the table computed from the force map
 FELT = ("peak pressure", "mean pressure", "shear", "contact area", "pressure-time integral")
@@ -154,14 +156,14 @@ class Comparison(Result):
             f" chance alone up to about {0.05 * len(rows):.0f} would"
         ]
         for row in clear.head(_MOST_DIFFERING).to_dict("records"):
-            digits = _decimals(row, "difference")
             by, *ends = (abs(row[name]) for name in DIFFERENCE)
             low, high = sorted(ends)
             way = "lower" if row["difference"] < 0.0 else "higher"
             unit = "percentage points" if row["unit"] == "%" else row["unit"]
             lines.append(
-                f"{row['name']}: {row['quantity']} {by:.{digits}f} {unit} {way} in"
-                f" {row['item']} than in {self.items[0]} ({low:.{digits}f} to {high:.{digits}f})"
+                f"{row['name']}: {row['quantity']} {_shown(row, by)} {unit} {way} in"
+                f" {row['item']} than in {self.items[0]} ({_shown(row, low)} to"
+                f" {_shown(row, high)})"
             )
         return lines
 
@@ -222,22 +224,21 @@ class Comparison(Result):
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
     """A value or difference with its interval."""
-    sign = "+" if columns == DIFFERENCE else ""
+    sign = "+" if columns == DIFFERENCE else "-"
     value, low, high = (row[name] for name in columns)
     shown = _number(row, columns[0], sign) if np.isfinite(value) else ""
     if np.isnan([low, high]).any():
         return shown
     if not np.isfinite([low, high]).all():
         return NOTHING
-    differs = " *" if sign and is_clear(low, high) else ""
+    differs = " *" if sign == "+" and is_clear(low, high) else ""
     return f"{shown} ({_number(row, columns[1])} to {_number(row, columns[2])}){differs}"
 
 
-def _number(row: Mapping[str, Any], column: str, sign: str = "") -> str:
-    return f"{row[column]:{sign}z.{_decimals(row, column)}f}"
+def _number(row: Mapping[str, Any], column: str, sign: str = "-") -> str:
+    return _shown(row, row[column], sign, 0 if column in VALUE else _LEAST)
 
 
-def _decimals(row: Mapping[str, Any], column: str) -> int:
-    """Those of the output; at least one for differences, their ends and spreads."""
-    found = decimals_of(f"{row['quantity']} [{row['unit']}]")
-    return found if column in VALUE else max(1, found)
+def _shown(row: Mapping[str, Any], value: float, sign: str = "-", least: int = _LEAST) -> str:
+    """A number of a row, in its unit; by default with the decimals of a difference."""
+    return number(f"{row['quantity']} [{row['unit']}]", value, sign, least)

@@ -24,6 +24,7 @@ from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
     THRESHOLD,
+    TILE_TITLES,
     TITLES,
     PressureOutputs,
     columns_of,
@@ -54,8 +55,6 @@ Each is a dictionary with a `value`, the ends `low` and `high` of its 95 % inter
 is `uncertain`.
 """
 
-CENTRE_TITLES = [title for title in TITLES if title.startswith("centre of pressure")]
-TILE_TITLES = tuple(t for t in TITLES if t not in (*CENTRE_TITLES, "contact area [cm^2]"))
 _ROW_KEYS = ("value", "low", "high", "uncertain")
 _STRESSES = ("pressure [kPa]", "shear [kPa]")  # of a tile over time
 _SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))

@@ -16,6 +16,7 @@ import socket_testbed as st
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.report import pressure, quality
 from socket_testbed.results.pressure import TrialPressure
+from socket_testbed.results.pressure_text import describe_pressure
 from socket_testbed.results.report import Results
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
@@ -85,7 +86,7 @@ def moving(report) -> TrialPressure:
 def test_the_tile_named_is_the_peak_s(moving: TrialPressure) -> None:
     first = moving.outputs.estimate.normal_pressure[0]
     assert np.argmax(first) == tile("post_mid")
-    assert pressure.describe_pressure(moving).endswith("The peak is on ant_mid at 12.00 s.")
+    assert describe_pressure(moving).endswith("The peak is on ant_mid at 12.00 s.")
 
 
 def test_the_cards_name_the_peak_s_tile(report, moving: TrialPressure) -> None:
