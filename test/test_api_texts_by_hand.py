@@ -18,7 +18,8 @@ from socket_testbed.api.cycles import Cycles
 from socket_testbed.api.design import CalibratedCluster
 from socket_testbed.errors import TestbedError, TrialError
 from socket_testbed.geometry.socket import write_socket
-from socket_testbed.results import result
+from socket_testbed.results import comparing, result, validating
+from socket_testbed.settings.options import EstimationOptions
 from socket_testbed.trials.events import Event
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -92,7 +93,7 @@ def noted(
         for side, subject, regions in zip(sides, subjects, ({}, {"heel": (1,)}), strict=True)
     ]
     row: Any = {("wrench", f"F{axis}", "mean [N]"): {"value": 9.0} for axis in "xyz"}
-    return [*comparison._notes(both, ["a", "b"], [row, row], same, freedom)]
+    return [*comparing._notes(both, ["a", "b"], [row, row], same, freedom)]
 
 
 HEEL = "not compared, because these regions differ between trials: heel"
@@ -138,12 +139,12 @@ def test_what_is_detectable_is_told_in_kilopascals() -> None:
     ]
     table = pd.DataFrame(rows, columns=["part", "quantity", "name", "detectable"])
     repeated: Any = SimpleNamespace(freedom=3, numbers=np.array([0, 0, 1, 1, 1]))
-    assert comparison._detectable(table, repeated) == (
+    assert comparing._detectable(table, repeated) == (
         "with 2 to 3 trials per condition, differences of at least 1.3 kPa are detectable in the"
         " socket's mean pressure, of 2.0 to 3.5 kPa in that of its regions; "
     )
     single: Any = SimpleNamespace(freedom=0)
-    assert comparison._detectable(table, single) == ""
+    assert comparing._detectable(table, single) == ""
 
 
 # --- cycles
@@ -335,7 +336,7 @@ def test_an_export_is_refused_with_this_line(case: str, tmp_path: Path) -> None:
 
 OTHERS = {
     "no trial": (
-        lambda: validation._recordings([], "all", None, None, {}),
+        lambda: validation._recordings([], "all", EstimationOptions(), None),
         "no trial to validate on: give one or more trials",
     ),
     "no figure": (
@@ -393,10 +394,10 @@ def test_of_several_trials_one_is_passed_over(several: bool, tmp_path: Path) -> 
     notes: list[str] = []
     trial = Trial(tmp_path, notify=notes.append)
     if not several:
-        with pytest.raises(TrialError), validation._skip_failed("s01", trial, several):
+        with pytest.raises(TrialError), validating.pass_over_failed("s01", trial, several):
             raise TrialError("no wrench", "record it")
         return
-    with validation._skip_failed("s01", trial, several):
+    with validating.pass_over_failed("s01", trial, several):
         raise TrialError("no wrench", "record it")
     assert notes == ["s01: passed over: no wrench: record it"]
 

@@ -6,8 +6,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import chi2, gamma, nct, norm, t, ttest_ind
 
-from socket_testbed.api.comparison import values_table
 from socket_testbed.identification.differences import Conditions
+from socket_testbed.results.comparing import values_table
 from socket_testbed.results.comparison import Comparison
 
 RNG = np.random.default_rng(12)

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import count
+from collections.abc import Sequence
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.pressure import prior_for
@@ -21,24 +17,15 @@ from socket_testbed.api.trials import (
     trials_of,
     unique_names,
 )
-from socket_testbed.arrays import evenly
-from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
-from socket_testbed.identification import validation
-from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.problem import MIN_SAMPLES
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
+from socket_testbed.results.validating import Recording, judge_recordings, pass_over_failed
 from socket_testbed.results.validation import Validation
-from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import Weights
 from socket_testbed.settings.options import EstimationOptions
-from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
-from socket_testbed.trials.truth import read_true_forces
-
-_MAX_FITTED = 12  # trials to fit models on, and trials to test each of them on
 
 
 def validate(
@@ -110,104 +97,9 @@ def validate(
     )
     opened = [*map(as_trial, trials_of(trials))]
     recordings = _recordings(opened, segment, options, prior)
-    several, chosen = len(trials) > 1, _selected(recordings)
-    report, done = started(progress, "validating"), count(1)
-    total = len(recordings) + several * len(chosen)
-    judgements: list[validation.Judgement] = []
-    fitted: list[_Recording] = []
+    report = started(progress, "validating")
     with threadpool_limits(1):
-        for recording in recordings:
-            with _skip_failed(recording.name, recording.trial, several):
-                judgements += recording.judge(with_models=recording in chosen)
-                fitted += [recording] if recording in chosen else []
-            report(next(done), total)
-        if not judgements:
-            raise TrialError(f"none of the {len(trials)} trials can be judged", "see the notes")
-        for recording in chosen if several else ():
-            if recording in fitted:
-                others = _selected([other for other in recordings if other is not recording])
-                with _skip_failed(recording.name, recording.trial, several):
-                    judgements += recording.judge_others(others)
-            report(next(done), total)
-    names, fitted_names = (tuple(r.name for r in listed) for listed in (recordings, fitted))
-    metadata = tuple(recording.trial.metadata for recording in recordings)
-    priors = tuple(recording.used for recording in recordings if recording.used)
-    return Validation(names, fitted_names, tuple(judgements), metadata, priors)
-
-
-@contextmanager
-def _skip_failed(name: str, trial: Trial, several: bool) -> Iterator[None]:
-    """Among several trials, report the error of one and continue."""
-    try:
-        yield
-    except (IdentificationError, TrialError) as error:
-        if not several:
-            raise
-        trial.note(f"{name}: passed over: {error}")
-
-
-def _selected(recordings: Sequence[_Recording]) -> list[_Recording]:
-    """At most `_MAX_FITTED` recordings, evenly spread."""
-    return [recordings[number] for number in evenly(len(recordings), _MAX_FITTED)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """A trial ready to be judged."""
-
-    name: str
-    trial: Trial
-    settings: EstimatorSettings
-    samples: Samples
-    prior_map: ForceMap | None = None
-    used: str = ""
-
-    def judge(self, with_models: bool) -> list[validation.Judgement]:
-        """Judgements on this trial alone, with or without model fits."""
-        geometry = self.trial.geometry
-        if not with_models:
-            return validation.judge_map(
-                self.samples, geometry, self.settings, self.name, self.prior_map
-            )
-        truth = read_true_forces(self.trial.path, self.samples.stamps, geometry.names)
-        return validation.judge_samples(
-            self.samples,
-            geometry,
-            self.settings,
-            truth,
-            self.name,
-            self._note,
-            self.prior_map,
-        )
-
-    def judge_others(self, others: Sequence[_Recording]) -> list[validation.Judgement]:
-        """Judgements of predictions for other trials by models fitted on all of this one."""
-        settings = self.settings.identification
-        models = validation.fit_variants(self.loaded, self.trial.geometry, settings, self._note)
-        predictors = validation.wrench_predictors(self.smooth, models)
-        found: list[validation.Judgement] = []
-        for other in others:
-            samples = other.smooth
-            every = np.arange(len(samples))
-            if len(samples) >= MIN_SAMPLES:
-                predicted = {who: predict(samples, every) for who, predict in predictors.items()}
-                found += validation.judge_wrench(
-                    samples.wrench, predicted, "other trial", self.name, other.name
-                )
-        return found
-
-    def _note(self, text: str) -> None:
-        self.trial.note(f"{self.name}: {text}")
-
-    @property
-    def loaded(self) -> Samples:
-        """The samples under load."""
-        return self.samples[self.samples.under_load(self.settings.plateau.least_force)]
-
-    @property
-    def smooth(self) -> Samples:
-        """The samples under load, with poses averaged as in a fit."""
-        return smooth_poses(self.loaded, self.settings.identification.pose_smoothing)
+        return judge_recordings(recordings, len(trials), report)
 
 
 def _recordings(
@@ -215,26 +107,17 @@ def _recordings(
     segment: str | Span | Segment,
     options: EstimationOptions,
     prior: Survey | PathLike | None,
-) -> list[_Recording]:
+) -> list[Recording]:
     """Read the trials, which must be different and of one socket."""
     if not trials:
         raise ConfigurationError("no trial to validate on", "give one or more trials")
     require_different(trials)
     found = []
     for name, trial in zip(unique_names(trials), trials, strict=True):
-        with _skip_failed(name, trial, len(trials) > 1):
+        with pass_over_failed(name, trial, len(trials) > 1):
             settings = trial.settings_for(options)
-            rows = trial.select(segment, settings).rows
-            checked = trial.checked(settings.identification.leave_out)
-            trial.note_problems(settings.identification.leave_out)
-            samples = checked.counted[rows]
-            loaded = np.zeros(len(checked.measured), dtype=bool)
-            loaded[rows] = samples.under_load(settings.plateau.least_force)
-            checked.part(loaded)  # refuses another unit
-            learnt = prior_for(trial, prior)
-            prior_map = checked.prior_map(settings.force_map, learnt)
-            used = "" if learnt is None else f"{name}: {prior_map.source(samples[loaded[rows]])}"
-            found.append(_Recording(name, trial, settings, samples, prior_map, used))
+            recording = Recording.of(name, trial, settings, trial.select(segment, settings))
+            found.append(recording.with_prior(prior_for(trial, prior)))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")
     return found

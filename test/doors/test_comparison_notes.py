@@ -13,6 +13,7 @@ import socket_testbed as st
 from socket_testbed.api import comparison
 from socket_testbed.api.trials import unique_names
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.results import comparing
 from socket_testbed.results.comparison import Comparison
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.trials.trial import Trial
@@ -111,7 +112,7 @@ def noted(
         }
         for size in (100.0, force)
     ]
-    return [*comparison._notes(found, ["a", "b"], rows, True, freedom)]
+    return [*comparing._notes(found, ["a", "b"], rows, True, freedom)]
 
 
 LOAD = (

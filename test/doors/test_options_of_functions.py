@@ -255,10 +255,10 @@ def call_compare(stage: Stage, **options: Any) -> None:
         return SimpleNamespace(trial=trial)
 
     stage.replace("api.comparison.pressure", judged)
-    stage.keep("api.comparison._shared_rows", "", "", "regions alone", returned=[])
-    stage.keep("api.comparison.values_table", returned=pd.DataFrame())
-    stage.keep("api.comparison._texts", returned=pd.DataFrame())
-    stage.keep("api.comparison._notes", returned=())
+    stage.keep("results.comparing._shared_rows", "", "", "regions alone", returned=[])
+    stage.keep("results.comparing.values_table", returned=pd.DataFrame())
+    stage.keep("results.comparing._texts", returned=pd.DataFrame())
+    stage.keep("results.comparing._notes", returned=())
     found = st.compare(*given, **options)
     stage.seen |= {"trials": dict(found.conditions), "title": found.title}
     stage.seen["tiles"] = found.geometry is not None

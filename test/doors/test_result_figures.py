@@ -23,13 +23,13 @@ import socket_testbed as st
 from socket_testbed.api.cycles import Cycles
 from socket_testbed.api.design import CalibratedCluster
 from socket_testbed.api.tradeoff import theta_values
-from socket_testbed.api.validation import Validation
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.calibrate import BenchCalibration, CrossValidation, Groups
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.figures.style import COLUMN
 from socket_testbed.results.models import Evaluation, TrialFit
+from socket_testbed.results.validation import Validation
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 

@@ -12,6 +12,8 @@ from support.problems import make_case, make_samples
 from socket_testbed.api import validation as api
 from socket_testbed.identification import pareto, validation
 from socket_testbed.identification.solver import Certificate
+from socket_testbed.results import validating
+from socket_testbed.results.validating import Recording
 from socket_testbed.settings.testbed import EstimatorSettings
 
 COUNT = 80
@@ -54,7 +56,7 @@ def test_others_are_tested_by_these_models(loaded: Any, monkeypatch: pytest.Monk
     monkeypatch.setattr(validation, "fit_variants", lambda *_: {})
     trial: Any = SimpleNamespace(geometry=scene.geometry())
     first, second = (
-        api._Recording(name, trial, EstimatorSettings(), loaded) for name in ("first", "second")
+        Recording(name, trial, EstimatorSettings(), loaded) for name in ("first", "second")
     )
     found = first.judge_others([second])
     assert {(each.fitted_on, each.tested_on) for each in found} == {("first", "second")}
@@ -83,12 +85,12 @@ def test_models_are_judged_on_chosen_trials(monkeypatch: pytest.MonkeyPatch) -> 
     """Two of three are fitted, the first and the last; of the other, the force map alone."""
     trial: Any = SimpleNamespace(geometry=scene.geometry(), path="nowhere", metadata=None)
     samples: Any = SimpleNamespace(stamps=None)
-    read = [api._Recording(name, trial, EstimatorSettings(), samples) for name in "abc"]
+    read = [Recording(name, trial, EstimatorSettings(), samples) for name in "abc"]
     monkeypatch.setattr(api, "as_trial", lambda given: given)
     monkeypatch.setattr(api, "_recordings", lambda *_: read)
-    monkeypatch.setattr(api, "_MAX_FITTED", 2)
-    monkeypatch.setattr(api, "read_true_forces", lambda *_: None)
-    monkeypatch.setattr(api._Recording, "judge_others", lambda self, others: [])
+    monkeypatch.setattr(validating, "_MAX_FITTED", 2)
+    monkeypatch.setattr(validating, "read_true_forces", lambda *_: None)
+    monkeypatch.setattr(Recording, "judge_others", lambda self, others: [])
     monkeypatch.setattr(
         validation, "judge_map", lambda _, geometry, settings, name, prior: [f"map of {name}"]
     )
