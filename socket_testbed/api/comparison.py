@@ -12,8 +12,7 @@ import numpy as np
 from socket_testbed.api.pressure import pressure
 from socket_testbed.api.trials import (
     Progress,
-    as_trial,
-    require_different,
+    open_different,
     require_one_socket,
     started,
     trials_of,
@@ -55,7 +54,8 @@ def compare(
     reported along with the smallest detectable difference.
 
     Args:
-        items: Two to 200 trials, or their folders.
+        items: Two to 200 trials, or their folders; notes on a trial given as a folder begin with
+            its name.
         conditions: Instead of `items`, the trials of two to 200 named conditions, such as the
             repeated donnings of each liner.
         segment: As in `fit`, for every trial.
@@ -139,14 +139,13 @@ def open_compared(
             f"{'conditions' if conditions else 'trials'} to compare: {len(groups)}",
             f"give 2 to {_MAX_ITEMS}, or 'pressure FOLDER -o OUTPUT' for a table with all trials",
         )
-    trials = []
-    for item in chain(*groups):
+    given = [*chain(*groups)]
+    for item in given:
         path = item.path if isinstance(item, Trial) else item
         suffix = Path(path).suffix if isinstance(path, str | os.PathLike) else ""
         if suffix.lower() in {".json", ".yaml", ".yml"}:
             raise ConfigurationError(
                 f"{path}: compare takes trials", "judge a model by 'evaluate TRIAL --model MODEL'"
             )
-        trials.append(as_trial(item))
-    require_different(trials)
+    trials = open_different(given)
     return trials, np.repeat(np.arange(len(groups)), [*map(len, groups)])

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from socket_testbed.api.trials import (
     Progress,
     as_path,
-    as_trial,
-    require_different,
+    open_different,
     require_one_socket,
     started,
     trials_of,
@@ -40,8 +39,7 @@ def open_surveyed(trials: Sequence[Trial | PathLike]) -> list[Trial]:
             f"trials of a survey: {len(trials)}",
             f"give 2 to {_MAX_TRIALS} of one limb, with clusters on other tiles",
         )
-    opened = [as_trial(each) for each in trials]
-    require_different(opened)
+    opened = open_different(trials)
     require_one_socket(opened, "survey one limb in one socket at a time")
     return opened
 
@@ -63,7 +61,8 @@ def survey(
     donning and sensors change. docs/survey.md is the protocol for an afternoon.
 
     Args:
-        trials: Two to 12 trials of one limb in one socket.
+        trials: Two to 12 trials of one limb in one socket; notes on a trial given as a folder begin
+            with its name.
         segment: As in `fit`, for every trial; its loads are matched by their wrench.
         clusters: Number of clusters of the next trial, for which places are proposed; 0 for none,
             by default as many as in the last trial.

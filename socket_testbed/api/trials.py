@@ -46,7 +46,7 @@ from socket_testbed.trials.metadata import (
     write_metadata,
 )
 from socket_testbed.trials.segment import Span, parse_span
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.trial import Trial, naming_notes
 
 Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
 """Reports long work: called with a task's name, such as `tiling`.
@@ -215,6 +215,21 @@ def as_trial(trial: Trial | PathLike) -> Trial:
     hint = "give one of st.open_trial, or the path of its folder"
     check_kind(trial, (str, os.PathLike), "the trial", hint)
     return open_trial(trial)
+
+
+def open_different(items: Sequence[Trial | PathLike]) -> list[Trial]:
+    """Different trials: those given, and those at the paths, whose notes begin with their names.
+
+    A given trial keeps its own `notify`.
+
+    Raises:
+        ConfigurationError: One is neither, or a trial is given twice.
+        TrialError: There is no trial at a path.
+    """
+    opened = [as_trial(item) for item in items]
+    require_different(opened)
+    named = zip(unique_names(opened), opened, items, strict=True)
+    return [trial if trial is item else naming_notes(trial, name) for name, trial, item in named]
 
 
 def trials_of(items: Sequence[Any]) -> list[Any]:

@@ -10,8 +10,7 @@ from socket_testbed.api.pressure import prior_for
 from socket_testbed.api.trials import (
     Progress,
     as_path,
-    as_trial,
-    require_different,
+    open_different,
     require_one_socket,
     started,
     trials_of,
@@ -55,7 +54,7 @@ def validate(
     Among several trials, those that cannot be judged are skipped with a note.
 
     Args:
-        trials: Trials of one socket.
+        trials: Trials of one socket; notes on a trial given as a folder begin with its name.
         segment: As in `fit`.
         params: A `testbed.yaml` to use instead of each trial's own.
         theta: As in `fit`.
@@ -95,7 +94,7 @@ def validate(
         pose_smoothing=pose_smoothing,
         solver=solver,
     )
-    opened = [*map(as_trial, trials_of(trials))]
+    opened = open_different(trials_of(trials))
     recordings = _recordings(opened, segment, options, prior)
     report = started(progress, "validating")
     with threadpool_limits(1):
@@ -108,10 +107,9 @@ def _recordings(
     options: EstimationOptions,
     prior: Survey | PathLike | None,
 ) -> list[Recording]:
-    """Read the trials, which must be different and of one socket."""
+    """Read the trials, which must be of one socket."""
     if not trials:
         raise ConfigurationError("no trial to validate on", "give one or more trials")
-    require_different(trials)
     found = []
     for name, trial in zip(unique_names(trials), trials, strict=True):
         with pass_over_failed(name, trial, len(trials) > 1):

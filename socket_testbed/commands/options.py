@@ -33,7 +33,7 @@ from socket_testbed.trials.bag import find_trials
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
 from socket_testbed.trials.reprocess import parse_unloaded
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.trial import Trial, naming_notes
 
 if TYPE_CHECKING:
     from socket_testbed.api import Result
@@ -135,14 +135,9 @@ def open_all(paths: Sequence[Path], files: TrialFiles) -> list[Trial]:
         paths: Folders of trials; a folder of several stands for all trials in it.
         files: How they are opened.
     """
-
-    def named(trial: Trial) -> Callable[[str], None]:
-        own = f"{trial.name}: "
-        return cache(lambda note: print_note(note if note.startswith(own) else own + note))
-
     found = [each for path in paths for each in find_trials(path, print_note).values() or [path]]
-    trials = [open_given(path, files) for path in found]
-    return [dataclasses.replace(trial, notify=named(trial)) for trial in trials]
+    opened = (open_given(path, files) for path in found)
+    return [naming_notes(trial, trial.name) for trial in opened]
 
 
 def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:

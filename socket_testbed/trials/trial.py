@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
@@ -615,6 +615,24 @@ def recorded_namespace(trial: Trial) -> str:
     with trial.open() as bag:
         name = required_topics(bag)[topics.TRIGGER]
     return topics.namespace_of(name, topics.TRIGGER) or "/"
+
+
+def naming_notes(trial: Trial, name: str) -> Trial:
+    """A trial that was not read yet, with notes that begin with a name: `hold: data: good`.
+
+    Args:
+        trial: The trial.
+        name: The name; a note that begins with it stays as it is.
+    """
+    if trial.notify is None:
+        return trial
+    return replace(trial, notify=partial(_send_named, name, trial.notify))
+
+
+def _send_named(name: str, notify: Callable[[str], None], note: str) -> None:
+    """Send a note that begins with a name."""
+    own = f"{name}: "
+    notify(note if note.startswith(own) else own + note)
 
 
 def read_configuration(

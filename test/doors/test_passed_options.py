@@ -1,6 +1,8 @@
 """Settings that a result passes on, and what is said of models, tiles, outliers and trials."""
 
 import inspect
+import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,11 +12,14 @@ import numpy as np
 import pytest
 from support import results_by_hand, scene
 from support.pages import MADE
+from support.verbs import call
 
 import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.calibration.fit import Outlier
 from socket_testbed.commands import design, options, results
+from socket_testbed.errors import TestbedError
+from socket_testbed.identification import validation
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.fit import evaluate
 from socket_testbed.report import quality, write
@@ -157,6 +162,48 @@ def test_notes_name_their_trial_once(
         "note: scene: is odd",
         "note: scene: no side is stated",
     ]
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two trials of a load of 100 N, under which persons of 200 kg and 250 kg are said to stand."""
+    path = tmp_path_factory.mktemp("odd")
+    folders = [scene.write(path / name / "hold") for name in ("first", "second")]
+    for folder, mass in zip(folders, (200.0, 250.0), strict=True):
+        st.annotate(folder, mass=mass)
+    return folders
+
+
+@pytest.fixture
+def unjudged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Validations judge nothing, which they refuse after the notes."""
+    monkeypatch.setattr(validation, "judge_samples", lambda *_: [])
+
+
+SEVERAL = {"compare": st.compare, "validate": st.validate, "survey": st.survey}
+
+
+@pytest.mark.parametrize("verb", SEVERAL)
+@pytest.mark.usefixtures("unjudged")
+def test_notes_on_several_trials_name_each(verb: str, odd: list[Path]) -> None:
+    """By as much of their paths as it takes."""
+    with warnings.catch_warnings(record=True) as sent, suppress(TestbedError):
+        warnings.simplefilter("always")
+        SEVERAL[verb](*odd, segment="all")  # no cluster moved, so that a survey is refused
+    notes = [str(each.message) for each in sent if "stated" in str(each.message)]
+    assert [note.partition(": ")[0] for note in notes] == ["first/hold", "second/hold"]
+    assert all(mass in note for mass, note in zip(("200 kg", "250 kg"), notes, strict=True))
+
+
+@pytest.mark.parametrize("verb", SEVERAL)
+@pytest.mark.usefixtures("unjudged")
+def test_a_verb_s_notes_name_each_trial_once(
+    verb: str, odd: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, _, err = call(capsys, verb, *odd, "--segment", "all")
+    notes = [line for line in err.splitlines() if "stated" in line]
+    assert [note.count("hold: ") for note in notes] == [1, 1]
+    assert [note.partition("data: ")[0] for note in notes] == ["note: hold: "] * 2
 
 
 @pytest.mark.parametrize("worst", ["stage_one", "stage_two", "joint"])

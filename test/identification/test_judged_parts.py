@@ -86,7 +86,7 @@ def test_models_are_judged_on_chosen_trials(monkeypatch: pytest.MonkeyPatch) -> 
     trial: Any = SimpleNamespace(geometry=scene.geometry(), path="nowhere", metadata=None)
     samples: Any = SimpleNamespace(stamps=None)
     read = [Recording(name, trial, EstimatorSettings(), samples) for name in "abc"]
-    monkeypatch.setattr(api, "as_trial", lambda given: given)
+    monkeypatch.setattr(api, "open_different", lambda given: given)
     monkeypatch.setattr(api, "_recordings", lambda *_: read)
     monkeypatch.setattr(validating, "_MAX_FITTED", 2)
     monkeypatch.setattr(validating, "read_true_forces", lambda *_: None)
