@@ -98,7 +98,7 @@ def validate(
     recordings = _recordings(opened, segment, options, prior)
     report = started(progress, "validating")
     with threadpool_limits(1):
-        return judge_recordings(recordings, len(trials), report)
+        return judge_recordings(recordings, len(opened), report)
 
 
 def _recordings(

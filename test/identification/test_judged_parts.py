@@ -81,7 +81,10 @@ def test_a_point_has_its_stages_worst_residual(worse: str, monkeypatch: pytest.M
     assert [front.residual.tolist() for front in fronts.values()] == [[3e-9], [3e-9]]
 
 
-def test_models_are_judged_on_chosen_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("given", [("a", "b", "c"), (["a", "b", "c"],)], ids=["each", "a list"])
+def test_models_are_judged_on_chosen_trials(
+    given: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two of three are fitted, the first and the last; of the other, the force map alone."""
     trial: Any = SimpleNamespace(geometry=scene.geometry(), path="nowhere", metadata=None)
     samples: Any = SimpleNamespace(stamps=None)
@@ -90,7 +93,7 @@ def test_models_are_judged_on_chosen_trials(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(api, "_recordings", lambda *_: read)
     monkeypatch.setattr(validating, "_MAX_FITTED", 2)
     monkeypatch.setattr(validating, "read_true_forces", lambda *_: None)
-    monkeypatch.setattr(Recording, "judge_others", lambda self, others: [])
+    monkeypatch.setattr(Recording, "judge_others", lambda self, others: [f"others by {self.name}"])
     monkeypatch.setattr(
         validation, "judge_map", lambda _, geometry, settings, name, prior: [f"map of {name}"]
     )
@@ -99,6 +102,7 @@ def test_models_are_judged_on_chosen_trials(monkeypatch: pytest.MonkeyPatch) -> 
         "judge_samples",
         lambda _, geometry, settings, truth, name, note, prior: [f"all of {name}"],
     )
-    found = api.validate("a", "b", "c")
+    found = api.validate(*given)
     assert (found.trials, found.fitted) == (("a", "b", "c"), ("a", "c"))
-    assert found.judgements == ("all of a", "map of b", "all of c")
+    alone = ("all of a", "map of b", "all of c")
+    assert found.judgements == (*alone, "others by a", "others by c")
