@@ -22,7 +22,7 @@ from socket_testbed.results.survey import Survey
 from socket_testbed.settings.identification import Weights
 from socket_testbed.settings.options import EstimationOptions, ReportOptions
 from socket_testbed.settings.testbed import ViewSettings
-from socket_testbed.trials.segment import Segment, Span, specification_of
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -116,7 +116,6 @@ def write_report(
 
     page = path_of(page, "the page")
     values = theta_values(thetas)
-    specification = specification_of(segment)
     check_page_path(page, replace)
     style = figure_style(width, title)  # fails before long work
     settings = trial.settings_for(options)
@@ -125,14 +124,14 @@ def write_report(
     with threadpool_limits(1):
         results = compute_results(
             trial,
-            specification,
+            segment,
             settings,
             values,
             stored,
             trials.started(progress, "fitting, judging, mapping"),
             learnt,
         )
-    for text in (*map(str, results.data), *results.bag_notes):
+    for text in results.bag_notes:
         trial.note(text)
     drawing = trials.started(progress, "drawing") if figures else None
     made, printed = datetime.now(UTC), style if figures else None

@@ -12,7 +12,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_whole
 from socket_testbed.results.models import part_to_fit
 from socket_testbed.results.result import PathLike
-from socket_testbed.results.tradeoff import PaperTable, Tradeoff, paper_table, trace_fronts
+from socket_testbed.results.tradeoff import PaperTable, Tradeoff, fit_paper, trace_fronts
 from socket_testbed.settings.identification import Weights
 from socket_testbed.settings.options import EstimationOptions, FrontOptions, PaperOptions
 from socket_testbed.trials.segment import Segment, Span
@@ -153,4 +153,4 @@ def paper(
     settings = trial.settings_for(options)
     chosen, samples = part_to_fit(trial, segment, settings)
     report = started(progress, "solving for every theta")
-    return paper_table(trial, chosen, samples, settings.identification, values, report)
+    return fit_paper(trial, chosen, samples, settings.identification, values, report)

@@ -194,7 +194,7 @@ def _show_validation(found: api.Validation) -> None:
         )
     for line in found.priors:
         print(line)
-    for judged in judged_tables(found.judgements):
+    for judged in judged_tables(found):
         print(f"\n{judged.caption}\n\n{text_of(judged)}")
     print(f"\n{textwrap.fill(LEGEND, 100)}")
 

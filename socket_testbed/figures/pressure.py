@@ -110,7 +110,7 @@ def pressure_figure(
     maps = tile_pressures(outputs, segment.kind, float(time[outputs.peak_row]))
     reach = {name: quantity.reach for name, quantity in maps.items()}
     regions = {place.name: places.index(place) for place in main_regions(places)}
-    mean = outputs.mean_pressure()
+    mean = outputs.mean_pressure
     events = [(event.time, event.label) for event in trial.events()]
     return tile_map_figure(
         trial.geometry,

@@ -285,6 +285,7 @@ class PressureOutputs:
                 _store(series.setdefault(name, _unknown(shape)), quantity, kept[some])
         return RegionOutputs(**series)
 
+    @cached_property
     def mean_pressure(self) -> Quantity:
         """Mean pressure of the regions at every sample, shape (N, R) [Pa].
 

@@ -19,7 +19,6 @@ from socket_testbed.figures.wall import Patch, patches, side_names, unrolled_til
 from socket_testbed.geometry.regions import (
     SECTOR_EDGES,
     Region,
-    axial_force,
     place_of,
     third_edges,
 )
@@ -32,7 +31,6 @@ from socket_testbed.geometry.socket import (
 )
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.pressure import (
-    PressureOutputs,
     Quantity,
     RegionOutputs,
     decimals_of,
@@ -40,7 +38,8 @@ from socket_testbed.identification.pressure import (
     read_column,
 )
 from socket_testbed.results.pressure_text import interval, number
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.results.stresses import Stresses, TrialCourse
+from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.options import Side
 from socket_testbed.trials.events import Event
 
@@ -177,18 +176,16 @@ def arrow_map(geometry: SocketGeometry) -> FloatArray:
     return np.asarray(unrolled_tiles(geometry).directions / geometry.areas[:, None, None])
 
 
-def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
-    """A `moment` for each of the N samples of some outputs.
+def moments(stresses: Stresses, geometry: SocketGeometry) -> list[Document]:
+    """A `moment` for each of K moments.
 
     Args:
-        time: Times of the samples since the first one of the trial, shape (N,) [s].
-        outputs: Pressure outputs of these samples.
+        stresses: Stresses at these moments.
         geometry: The socket.
     """
-    found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
-    stresses = found.normal_pressure, found.pressure_reach, found.shear
-    arrows = shear_arrows(geometry, found.forces)
-    rows = zip(time.tolist(), *stresses, measured, strict=True)
+    found = stresses.pressure, stresses.reach, stresses.shear, stresses.measured
+    arrows = shear_arrows(geometry, stresses.forces)
+    rows = zip(stresses.time.tolist(), *found, strict=True)
     return [moment(*row, None, along) for row, along in zip(rows, arrows, strict=True)]
 
 
@@ -210,31 +207,8 @@ def wrench_rows(measured: FloatArray, predicted: FloatArray) -> list[list[str]]:
     return rows
 
 
-def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
-    """Measured normal pressure of every cluster of the socket.
-
-    Args:
-        samples: The N samples; values whose status is not OK count as missing.
-        geometry: The socket with its c clusters, which may be more than those of the samples.
-
-    Returns:
-        Pressures, positive in compression, shape (N, c) [Pa], in the order of `geometry.clusters`;
-        NaN where missing.
-    """
-    found = np.full((len(samples), len(geometry.clusters)), np.nan)
-    for column, name in enumerate(geometry.clusters):
-        if name in samples.clusters:
-            forces = samples.trusted_forces[:, samples.clusters.index(name)]
-            found[:, column] = geometry.cluster_stress(name, forces)[:, 0]
-    return found
-
-
 def trial_document(
-    geometry: SocketGeometry,
-    side: Side | None,
-    events: Iterable[Event],
-    outputs: PressureOutputs,
-    time: FloatArray,
+    geometry: SocketGeometry, side: Side | None, events: Iterable[Event], found: TrialCourse
 ) -> Document:
     """The socket of a trial, and its course.
 
@@ -242,18 +216,15 @@ def trial_document(
         geometry: The socket.
         side: The leg; None if unknown.
         events: The events of the trial.
-        outputs: Pressure outputs at N of its samples, whose last region is the socket.
-        time: Times of these samples since the first one of the trial, shape (N,) [s].
+        found: The course of the trial.
 
     Returns:
         `socket` as in `socket_document` and `course` as in `course`.
     """
-    force = axial_force(geometry, outputs.samples.wrench)
-    peak = outputs.series.peak.part((..., -1))
     marks = [(event.time, event.label) for event in events]
     return {
         "socket": socket_document(geometry, side),
-        "course": course(time, force, peak, marks),
+        "course": course(found.stresses.time, found.force, found.peak, marks),
     }
 
 

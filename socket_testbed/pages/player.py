@@ -12,6 +12,7 @@ from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.identification.survey_prior import SurveyPrior
 from socket_testbed.pages import document
 from socket_testbed.results.pressure import map_trial
+from socket_testbed.results.stresses import course_of, stresses_of
 from socket_testbed.trials.trial import Trial
 
 _COURSE_SAMPLES = 400
@@ -41,8 +42,7 @@ class Player:
         self._data = document.check_card(trial.problems(), trial.notes)
         nothing = np.full((len(samples), 6), np.nan)
         self._predicted = nothing if predicted is None else predicted[:, :6]
-        found = self._mapped.course(_COURSE_SAMPLES)
-        time = 1e-9 * (found.samples.stamps - samples.stamps[0])
+        course = course_of(mapped.course(_COURSE_SAMPLES), trial.geometry, int(samples.stamps[0]))
         rows = evenly(len(samples), _INTEGRAL_SAMPLES)
         self._integral = self._mapped.outputs(rows).regions.integral
         metadata = trial.metadata
@@ -50,10 +50,10 @@ class Player:
         if prior is not None:
             facts = facts | {"map from": mapped.force_map.source(mapped.samples)}
         socket = trial.geometry, metadata.side
-        self._start = document.trial_document(*socket, trial.events(), found, time) | {
+        self._start = document.trial_document(*socket, trial.events(), course) | {
             "title": trial.name,
             "facts": facts,
-            "start": float(time[found.peak_row]),
+            "start": course.highest_time,
             "end": float(samples.time[-1]),
         }
 
@@ -79,15 +79,15 @@ class Player:
         if row is None or not measured_rows(mapped.samples[row : row + 1])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
-        one = slice(row, row + 1)
-        found = mapped.outputs(one)
-        pressure = found.estimate.normal_pressure[0]
-        measured = document.measured_pressure(found.samples, geometry)[0]
+        found = mapped.outputs(slice(row, row + 1))
+        start = int(samples.stamps[0])
+        stresses = stresses_of(found.estimate, found.samples, geometry, start)
+        pressure, measured = stresses.pressure[0], stresses.measured[0]
         shown = document.cards(
             geometry, mapped.places, found.regions, pressure, measured, " at this moment"
         )
         return {
-            "moment": document.moments(samples.time[one], found, geometry)[0],
+            "moment": document.moments(stresses, geometry)[0],
             "cards": [*shown, self._data],
             "bars": document.bars(mapped.places, found.regions, {_INTEGRAL: self._integral}),
             "wrench": document.wrench_rows(samples.wrench[row], self._predicted[row]),

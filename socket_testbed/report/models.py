@@ -15,13 +15,13 @@ from socket_testbed.figures.style import THINNED
 from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
-from socket_testbed.identification.paper import THEIRS, beside_published
+from socket_testbed.identification.paper import THEIRS
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
 from socket_testbed.results.models import Evaluation
 from socket_testbed.results.report import GIVEN, Results
-from socket_testbed.samples import WRENCH_CHANNELS, channel_unit, mean_and_sigma
-from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
+from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
+from socket_testbed.settings.identification import BIAS_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
 
 ERRORS_FILE = "errors.csv"  # in the folder of every report, which it marks as one
@@ -36,8 +36,8 @@ def section(results: Results) -> Section:
 
 def describe_models(results: Results) -> list[str]:
     """A statement on the segment, and one on every model."""
-    wrench = results.samples.wrench[results.segment.rows]
-    (force, _), (moment, _) = mean_and_sigma(wrench[:, 3:]), mean_and_sigma(wrench[:, :3])
+    load = results.quality.loads.frame.iloc[0]
+    force, moment = load["mean force [N]"], load["mean moment [N m]"]
     return [
         f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
@@ -81,13 +81,7 @@ def local_section(results: Results) -> Section:
 
 def paper_section(results: Results) -> Section:
     """The section that compares the trial with the paper."""
-    frame = beside_published(
-        {variant: results.fitted[variant].errors for variant in PAPER_VARIANTS},
-        results.fronts,
-        results.samples[results.segment.rows],
-        results.settings.identification,
-        results.trial.geometry,
-    )
+    frame = results.paper.to_dataframe()
     known = frame[frame[THEIRS].notna().any(axis=1)]
     caption = "The figures of the paper, for its variants; 'paper' computes more, with its settings"
     table = Table("paper", caption, known, {THEIRS: ".2f"})
@@ -241,8 +235,7 @@ def _rest_offsets(results: Results, model: ContactModel) -> FloatArray:
     """Rest displacements, or rest positions from the mean one of the limb, shape (n, 3) [mm]."""
     if model.law.IN_TILES:
         return 1e3 * model.rest_positions
-    mean = np.nanmean(results.samples.position[results.segment.rows], axis=0)
-    return 1e3 * (model.rest_positions - mean)
+    return 1e3 * (model.rest_positions - results.limb_position)
 
 
 def _tile_maps(results: Results) -> Iterator[ReportFigure]:

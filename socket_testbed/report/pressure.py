@@ -7,12 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.pressure import NAMED_SEGMENTS, pressure_figure, tile_pressures
 from socket_testbed.identification.pressure import (
     SHARE,
-    PressureOutputs,
-    read_column,
     with_interval,
 )
 from socket_testbed.pages import document
@@ -21,6 +18,7 @@ from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.results.pressure import TrialPressure, by_place
 from socket_testbed.results.pressure_text import number, page_tables
 from socket_testbed.results.report import Results
+from socket_testbed.results.stresses import TrialCourse
 
 _SPANS = {"loaded": "while loaded", "all": "in the trial"}  # by the kind of a segment
 
@@ -38,18 +36,13 @@ def page_data(results: Results) -> dict[str, Any]:
     `moments` and `mean` (over the segment, without a time), `cards`, `bars`; and `extras`, the
     models' parameters on the tiles, each with `values` and `unit`.
     """
-    found, over_trial = results.pressure, results.over_trial
-    outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
-    time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
-    measured = pd.DataFrame(document.measured_pressure(outputs.samples, geometry))
-    means = tiles.mean.value, tiles.mean.reach, tiles.shear.value, measured.mean().to_numpy()
-    arrows = document.shear_arrows(geometry, outputs.mean_map.forces[0])
-    mean = document.moment(found.peak_time, *means, arrows=arrows)
-    moments = document.moments(time, over_trial, geometry)
-    at_peak = moments[int(np.abs(time - found.peak_time).argmin())]
+    found, course, geometry = results.pressure, results.course, results.trial.geometry
+    outputs, side = found.outputs, results.metadata.side
+    (mean,) = document.moments(found.mean, geometry)
+    moments = document.moments(course.stresses, geometry)
+    at_peak = moments[int(np.abs(course.stresses.time - found.peak_time).argmin())]
     at_peak["words"] = f"at {found.peak_time:.2f} s, the peak {_span(found)}"
-    side, events = results.metadata.side, results.events
-    return document.trial_document(geometry, side, events, over_trial, time) | {
+    return document.trial_document(geometry, side, results.events, course) | {
         "start": found.peak_time,
         "moments": moments,
         "mean": mean | {"time": None, "words": f"mean over {found.segment}", "highest": "highest"},
@@ -58,11 +51,11 @@ def page_data(results: Results) -> dict[str, Any]:
                 geometry,
                 found.places,
                 outputs.regions,
-                tiles.peak.value,
-                measured.loc[outputs.peak_row],
-                span=_span(found) + _highest(found, over_trial, time),
+                outputs.tiles.peak.value,
+                found.peak.measured[0],
+                span=_span(found) + _highest(found, course),
             ),
-            document.check_card(results.data, results.bag_notes),
+            document.check_card(results.checked.findings, results.bag_notes),
         ],
         "bars": document.bars(found.places, outputs.regions),
         "extras": {
@@ -79,17 +72,13 @@ def _span(found: TrialPressure) -> str:
     return _SPANS.get(kind, f"in the {kind if kind in NAMED_SEGMENTS else 'segment'}")
 
 
-def _highest(found: TrialPressure, over_trial: PressureOutputs, time: FloatArray) -> str:
-    """The highest pressure of the trial [kPa] and its time, if it is not that of the segment.
-
-    The times since the first sample of the trial are those of the samples of `over_trial` [s].
-    """
-    title = "peak pressure [kPa]"
+def _highest(found: TrialPressure, course: TrialCourse) -> str:
+    """The highest pressure of the trial [kPa] and its time, if it is not that of the segment."""
     own, highest = (
-        number(title, float(read_column(outputs.regions, title).value[-1]))
-        for outputs in (found.outputs, over_trial)
+        number("peak pressure [kPa]", 1e-3 * pressure)
+        for pressure in (float(found.outputs.regions.peak.value[-1]), course.highest)
     )
-    when = time[over_trial.peak_row]
+    when = course.highest_time
     return "" if own == highest else f"; highest of the trial {highest} at {when:.0f} s"
 
 
@@ -97,7 +86,7 @@ def section(results: Results) -> Section:
     """The section with the numerical outputs."""
     found = results.pressure
     names = [place.name for place in found.places]
-    pressure = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
+    pressure = with_interval("mean pressure [kPa]", found.outputs.mean_pressure.part(..., 1e-3))
     over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, pressure))
     return Section(
         "pressure",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,24 +12,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed.arrays import gaps
 from socket_testbed.figures.overview import overview_figure
 from socket_testbed.figures.style import THINNED
 from socket_testbed.files import PARAMETERS_FILE
-from socket_testbed.identification.fit import Fit, summarise_errors
-from socket_testbed.identification.information import share_warning
+from socket_testbed.identification.fit import Fit
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
 from socket_testbed.results.report import GIVEN, Results
-from socket_testbed.samples import Status, force_magnitude
 from socket_testbed.tables import Table, pairs_table
-from socket_testbed.trials.description import (
-    describe_samples,
-    drop_outs,
-    loads_table,
-    noise_table,
-    states_by_channel,
-)
-from socket_testbed.trials.metadata import NO_SIDE
 from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
@@ -39,83 +27,47 @@ _DIGEST_LENGTH = 16  # hexadecimal digits
 
 def section(results: Results) -> Section:
     """The section on the data of a trial."""
-    samples, limits = results.measured, results.settings.plateau
+    quality, limits = results.quality, results.settings.plateau
     return Section(
         "quality",
         "Data quality",
         [
-            f"{describe_samples(samples)}.",
+            f"{quality.words}.",
             _overview(results),
-            drop_outs(samples, results.segment.rows),
+            quality.drop_outs,
             Heading("The segment"),
             f"Requested: {results.specification}; in use: {results.segment}. A plateau lasts"
             f" {limits.least_duration:g} s or more under a steady load of {limits.least_force:g} N"
             " or more; 'plateau' is the longest one. The limits are among the settings below.",
-            loads_table(results.samples, (results.segment, *results.plateaus)),
+            quality.loads,
             Heading("Noise"),
             "From the third differences of the trial, without outliers and steps. Motion from"
             " sample to sample, such as a person's sway, counts as noise.",
-            noise_table(results.samples.clusters, results.noise),
+            quality.noise,
         ],
     )
 
 
 def _overview(results: Results) -> ReportFigure:
-    samples, states = results.samples, states_by_channel(results.measured)
-    lacking = {name: state != Status.OK for name, state in states.items()}
-    loads = {
-        "force magnitude [N]": force_magnitude(samples.wrench),
-        "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
-    }
+    time, load, lacking = results.samples.time, results.quality.load, results.quality.lacking
     flags = {f"{name} not usable [-]": rows.astype(int) for name, rows in lacking.items()}
-    charts = [{"title": title, "lines": {"measured": load}} for title, load in loads.items()]
+    charts = [{"title": title, "lines": {"measured": values}} for title, values in load.items()]
     return ReportFigure(
         "overview",
         "Measured load over the trial, with plateaus in light and the segment in darker grey."
         " Figures for print also show the share of samples in which a measurement was unusable:"
         f" missing, saturated, or out of the calibrated range. {THINNED}",
         lambda style: overview_figure(
-            samples.time, loads, lacking, results.plateaus, results.segment, style
+            time, load, lacking, results.plateaus, results.segment, style
         ),
-        results.series(loads | flags),
-        line_chart(samples.time, charts, [*results.plateaus, results.segment]),
+        results.series(load | flags),
+        line_chart(time, charts, [*results.plateaus, results.segment]),
     )
 
 
 def notes_section(results: Results) -> Section:
     """The section with notes on the data."""
-    lines = [*map(str, results.data), *list_notes(results)] or ["Nothing."]
-    return Section("notes", "Notes", [lines])
-
-
-def list_notes(results: Results) -> Iterator[str]:
-    """Notes on the trial to read before using the figures."""
-    samples, geometry = results.samples, results.trial.geometry
-    yield from results.bag_notes
-    if count := gaps(samples.time).sum():
-        yield f"Gaps between triggers: {count}, listed under Data quality."
-    inside = int(results.in_segment.sum())
-    unfitted = inside - max(found.model.samples for found in results.fitted.values())
-    if unfitted:
-        yield (
-            f"{unfitted} of the segment's {inside} samples are not fitted: they lack the limb"
-            " position or a wrench channel of the objective."
-        )
-    warnings = {
-        label: share_warning(found.load_shares()) for label, found in results.candidates.items()
-    }
-    yield from (f"{label}: {warning}." for label, warning in warnings.items() if warning)
-    if results.metadata.side is None:
-        yield f"{results.trial.name}: {NO_SIDE}."
-    if not geometry.registration:
-        yield f"{results.trial.name}: {geometry.bodies}."
-    bare = [name for name in geometry.clusters if name not in samples.clusters]
-    if bare:
-        yield f"This trial has no readings of the clusters {', '.join(bare)}."
-    first = next(iter(results.candidates.values()))
-    dead = summarise_errors(first.errors).without_value
-    if dead:
-        yield f"Never measured over the segment: {', '.join(dead)}."
+    return Section("notes", "Notes", [[*results.notes] or ["Nothing."]])
 
 
 def origin_section(results: Results, command: str, made: datetime) -> Section:

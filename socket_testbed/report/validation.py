@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import pandas as pd
@@ -12,6 +12,7 @@ from socket_testbed.identification import validation
 from socket_testbed.identification.information import MIN_RATIO
 from socket_testbed.report.page import Heading, ReportFigure, Section
 from socket_testbed.results.report import Results
+from socket_testbed.results.validation import Validation
 from socket_testbed.tables import Table
 
 _CAPTIONS: dict[tuple[validation.Question, validation.Test], str] = {
@@ -32,23 +33,22 @@ LEGEND = (
 def section(results: Results) -> Section:
     """The section on the validation of the estimates."""
     judged: list[Any] = [f"None: {results.no_validation}."]
-    if results.validation:
+    if (found := results.validation) is not None:
+        title = f"{results.trial.name}: Validation"
         figure = ReportFigure(
             "validation",
             "Left: error of the forces on each left-out cluster, over the root mean square of all"
             " clusters' forces, and on tiles without a sensor if simulated truth is available."
             " Right: share of values within the force map's intervals; on the line, its"
             " uncertainty is correct.",
-            lambda style: validation_figure(
-                results.validation, f"{results.trial.name}: Validation", style
-            ),
-            validation.judgements_table(results.validation),
+            lambda style: validation_figure(found.judgements, title, style),
+            found.to_dataframe(),
         )
         judged = [
             "Estimates judged on held-out data, against rivals that need no model.",
             f"{LEGEND[0].upper()}{LEGEND[1:]}.",
             figure,
-            *judged_tables(results.validation),
+            *judged_tables(found),
         ]
     return Section(
         "validation",
@@ -70,12 +70,12 @@ def section(results: Results) -> Section:
     )
 
 
-def judged_tables(judgements: Sequence[validation.Judgement]) -> Iterator[Table]:
+def judged_tables(found: Validation) -> Iterator[Table]:
     """A table per question and test, a row per predictor: means over the trials.
 
     With several trials, skills are medians, because a single trial may spoil a mean.
     """
-    summary = validation.summarise_judgements(judgements)
+    summary = found.summary()
     counts = summary["judged [1]"]
     several = bool((counts > 1).any())
     for_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}

@@ -105,6 +105,6 @@ def summarise(results: Results) -> list[str]:
     """One statement each on the pressure, the data, the segment and every model."""
     return [
         describe_pressure(results.pressure),
-        "; ".join(map(str, results.data)) or GOOD,
+        "; ".join(map(str, results.checked.findings)) or GOOD,
         *models.describe_models(results),
     ]

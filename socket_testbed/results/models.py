@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import path_of
 from socket_testbed.errors import IdentificationError
 from socket_testbed.figures.channels import wrench_figure
@@ -190,6 +189,13 @@ class Evaluation(Result):
         errors: Errors of every channel over the segment, in the channel's unit [N m, N]: the
             wrench's six in {S}, then three per cluster in the frame {L} of its tile. Outliers, and
             cluster forces whose status is not OK, count as not measured.
+        in_sample: Whether the model was fitted on some samples of the segment.
+        predicted: Predictions of the model at all N samples of the trial: the wrench [M; F] in {S}
+            [N m, N], then the force on each of the c clusters in the frame {L} of its tile [N],
+            shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
+        held_out: Errors of every channel on the rest of the trial, as in `errors`: on the samples
+            that are neither in the segment nor used by the model's fit; empty if every channel has
+            fewer than 10 of them.
         pressure: Pressure outputs of the segment; None unless requested.
     """
 
@@ -198,6 +204,11 @@ class Evaluation(Result):
     segment: Segment
     samples: int
     errors: tuple[ChannelErrors, ...]
+    in_sample: bool
+    predicted: FloatArray
+    held_out: tuple[ChannelErrors, ...]
+    _load_shares: tuple[information.LoadShare, ...]
+    _engagement: information.Engagement
     pressure: TrialPressure | None = None
 
     def __repr__(self) -> str:
@@ -206,34 +217,6 @@ class Evaluation(Result):
             f" {self.segment}; {summarise_errors(self.errors).in_words()})"
         )
 
-    @property
-    def in_sample(self) -> bool:
-        """Whether the model was fitted on some samples of the segment."""
-        return bool(self._used()[self.segment.rows].any())
-
-    @cached_property
-    def predicted(self) -> FloatArray:
-        """Predictions of the model at all N samples of the trial.
-
-        The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
-        of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
-        """
-        with threadpool_limits(1):
-            return self.model.predictions(self._samples())
-
-    @cached_property
-    def held_out(self) -> tuple[ChannelErrors, ...]:
-        """Errors of every channel on the rest of the trial, as in `errors`.
-
-        The rest are the samples that are neither in the segment nor used by the model's fit; empty
-        if every channel has fewer than 10 of them.
-        """
-        rest = ~self._used()
-        rest[self.segment.rows] = False
-        leave_out = self.model.settings.leave_out
-        errors = evaluate(self._samples()[rest], self.predicted[rest], leave_out)
-        return errors if max(error.samples for error in errors) >= _MIN_HELD_OUT else ()
-
     def load_shares(self) -> tuple[information.LoadShare, ...]:
         """Shares of the measured wrench that springs and offsets carry, over the segment.
 
@@ -241,10 +224,6 @@ class Evaluation(Result):
             As `TrialFit.load_shares`.
         """
         return self._load_shares
-
-    @cached_property
-    def _load_shares(self) -> tuple[information.LoadShare, ...]:
-        return _load_shares(self._samples()[self.segment.rows], self.model)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors, a row per channel, indexed by `channel`: such as `Mx`, `distal.Fz`.
@@ -275,19 +254,6 @@ class Evaluation(Result):
             and axis of {S}, (n, 1) in the rigid variants.
         """
         return self._engagement
-
-    @cached_property
-    def _engagement(self) -> information.Engagement:
-        model, window = self.model.model, self.model.settings.pose_smoothing
-        return information.engagement(self._samples(), model, window, self.segment.rows)
-
-    def _samples(self) -> Samples:
-        """All samples of the trial without outliers."""
-        return self.trial.checked(self.model.settings.leave_out).samples
-
-    def _used(self) -> BoolArray:
-        """Which samples of the trial are in the span of the model's fit, shape (N,)."""
-        return self.model.used(self.trial.name, self.trial.fingerprint, self.trial.samples())
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON.
@@ -393,13 +359,14 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
         IdentificationError: If the limb positions of the segment are in another unit or frame, or
             there are none, or nothing was measured that predictions could be compared with.
     """
-    leave_out = model.settings.leave_out
+    leave_out, window = model.settings.leave_out, model.settings.pose_smoothing
     checked = trial.checked(leave_out)
-    samples = checked.posed(segment.rows)
+    every, rows = checked.samples, segment.rows
+    samples = checked.posed(rows)
     check_parts(samples, "a prediction", pose=True)
-    past = checked.samples[: segment.rows.start]
     with threadpool_limits(1):
-        predicted = model.predictions(samples, past)
+        predicted = model.predictions(samples, every[: rows.start])
+        over_trial = model.predictions(every)
     errors = evaluate(samples, predicted, leave_out)
     if not any(error.samples for error in errors):
         raise IdentificationError(
@@ -407,7 +374,23 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
             " cluster, which predictions are compared with",
             "choose another segment, or record the load cell or the clusters",
         )
-    return Evaluation(trial, model, segment, int(samples.has_pose_and_wrench.sum()), errors)
+    used = model.used(trial.name, trial.fingerprint, checked.measured)
+    rest = ~used
+    rest[rows] = False
+    held_out = evaluate(every[rest], over_trial[rest], leave_out)
+    counted = max(error.samples for error in held_out) >= _MIN_HELD_OUT
+    return Evaluation(
+        trial=trial,
+        model=model,
+        segment=segment,
+        samples=int(samples.has_pose_and_wrench.sum()),
+        errors=errors,
+        in_sample=bool(used[rows].any()),
+        predicted=over_trial,
+        held_out=held_out if counted else (),
+        _load_shares=_load_shares(samples, model),
+        _engagement=information.engagement(every, model.model, window, rows),
+    )
 
 
 def _load_shares(samples: Samples, model: FittedModel) -> tuple[information.LoadShare, ...]:

@@ -23,7 +23,6 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
-    THRESHOLD,
     TILE_TITLES,
     TITLES,
     PressureOutputs,
@@ -36,7 +35,9 @@ from socket_testbed.identification.pressure import (
 )
 from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.results.result import PathLike, Result, origin, records
+from socket_testbed.results.stresses import Stresses, mean_stresses, stresses_of
 from socket_testbed.samples import Samples
+from socket_testbed.settings.options import PressureOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.tables import split_unit, stacked, write_table
 from socket_testbed.trials.segment import Segment
@@ -55,6 +56,7 @@ Each is a dictionary with a `value`, the ends `low` and `high` of its 95 % inter
 is `uncertain`.
 """
 
+_PASCALS = 1e3  # in a kilopascal, the unit of a threshold outside; the outputs hold SI units
 _ROW_KEYS = ("value", "low", "high", "uncertain")
 _STRESSES = ("pressure [kPa]", "shear [kPa]")  # of a tile over time
 _SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))
@@ -207,7 +209,7 @@ class TrialMap(Result):
         return replace(self, segment=segment, time=time, samples=samples)
 
     def outputs(
-        self, rows: slice | IntArray = slice(None), threshold: float = 1e-3 * THRESHOLD
+        self, rows: slice | IntArray = slice(None), threshold: float = PressureOptions.threshold
     ) -> PressureOutputs:
         """Pressure outputs over some of the samples, as arrays in SI units.
 
@@ -219,9 +221,12 @@ class TrialMap(Result):
             TrialError: None of these samples has a wrench or a trusted cluster.
         """
         samples, geometry = self.samples[rows], self.trial.geometry
-        return pressure_outputs(self.force_map, samples, geometry, self.places, 1e3 * threshold)
+        limit = _PASCALS * threshold
+        return pressure_outputs(self.force_map, samples, geometry, self.places, limit)
 
-    def pressure(self, threshold: float = 1e-3 * THRESHOLD, share: float = SHARE) -> TrialPressure:
+    def pressure(
+        self, threshold: float = PressureOptions.threshold, share: float = SHARE
+    ) -> TrialPressure:
         """Pressure outputs over the segment of the map, see `TrialPressure`.
 
         Args:
@@ -232,7 +237,7 @@ class TrialMap(Result):
             TrialError: No sample has a wrench or a trusted cluster.
         """
         outputs = self.outputs(threshold=threshold)
-        return TrialPressure(self.trial, self.segment, self.places, outputs, threshold, share)
+        return TrialPressure(self.trial, self.segment, self.places, outputs, share)
 
     def course(self, most: int, also: Sequence[int] = ()) -> PressureOutputs:
         """Outputs of the socket at evenly spread samples, at the highest pressure, and at others.
@@ -317,7 +322,6 @@ class TrialPressure(Result):
         outputs: The outputs as arrays in SI units (Pa, m^2, Pa s, m, rad): over the segment by
             region, shape (R,), and by tile, shape (n,), and of the regions at its N samples, shape
             (N, R), each with the ends of its interval; and the samples and force map behind them.
-        threshold: Pressure above which a tile is in contact [kPa].
         share: A value is uncertain if its interval reaches farther than this share of it [-].
     """
 
@@ -327,7 +331,6 @@ class TrialPressure(Result):
     segment: Segment
     places: tuple[Region, ...]
     outputs: PressureOutputs
-    threshold: float = 1e-3 * THRESHOLD
     share: float = SHARE
 
     def __repr__(self) -> str:
@@ -349,6 +352,11 @@ class TrialPressure(Result):
         return float(self.time[self.outputs.peak_row])
 
     @property
+    def threshold(self) -> float:
+        """Pressure above which a tile is in contact [kPa]."""
+        return round(self.outputs.threshold / _PASCALS, 9)  # as given, to its last digit
+
+    @property
     def regions(self) -> pd.DataFrame:
         """Outputs over the segment, a row per region, then `socket`.
 
@@ -368,8 +376,30 @@ class TrialPressure(Result):
     @property
     def contact(self) -> str:
         """What counts as contact and the time of the integrals, in words."""
-        limit, time = 1e-3 * self.outputs.threshold, self.outputs.integrated
-        return f"in contact: above {limit:g} kPa; the integrals cover {time:.1f} s"
+        time = self.outputs.integrated
+        return f"in contact: above {self.threshold:g} kPa; the integrals cover {time:.1f} s"
+
+    @cached_property
+    def mean(self) -> Stresses:
+        """The mean stresses on the tiles over the segment, K = 1."""
+        return mean_stresses(self.outputs, self.trial.geometry)
+
+    @cached_property
+    def peak(self) -> Stresses:
+        """The stresses on the tiles at the highest pressure on any of them, K = 1."""
+        found, row = self.outputs, self.outputs.peak_row
+        samples, start = found.samples[row : row + 1], int(self.trial.samples().stamps[0])
+        return stresses_of(found.peak_map, samples, self.trial.geometry, start)
+
+    def complete(self) -> TrialPressure:
+        """Compute now what is otherwise computed when it is first read; returns the same result.
+
+        A report calls this before it draws.
+        """
+        kept = (self, "mean"), (self, "peak"), (self, "suspension"), (self.outputs, "mean_pressure")
+        for owner, name in kept:
+            getattr(owner, name)
+        return self
 
     @cached_property
     def suspension(self) -> Suspension | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.arrays import FloatArray
 from socket_testbed.figures.fronts import pareto_figure
 from socket_testbed.figures.style import FigureStyle
+from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.identification.pareto import (
     Front,
@@ -177,7 +178,7 @@ def trace_fronts(
     return Tradeoff(trial, segment, fronts)
 
 
-def paper_table(
+def fit_paper(
     trial: Trial,
     segment: Segment,
     samples: Samples,
@@ -198,12 +199,31 @@ def paper_table(
     Raises:
         IdentificationError: As `fit_segment` and `pareto_front`.
     """
-    fits = {
+    fits: dict[str, FittedModel] = {
         variant: fit_segment(trial, segment, samples, replace(settings, variant=variant)).fit
         for variant in PAPER_VARIANTS
     }
     fronts = trace_fronts(trial, segment, samples, settings, thetas, progress).fronts
-    errors = {variant: found.errors for variant, found in fits.items()}
+    return paper_table(trial, segment, samples, fits, fronts)
+
+
+def paper_table(
+    trial: Trial,
+    segment: Segment,
+    samples: Samples,
+    fits: Mapping[str, FittedModel],
+    fronts: Mapping[Variant, Front],
+) -> PaperTable:
+    """The paper's figures of models that are already fitted, next to the published ones.
+
+    Args:
+        trial: The trial.
+        segment: The part that was fitted.
+        samples: Its samples, outliers as NaN.
+        fits: The models of the paper's variants, fitted on these samples, by variant.
+        fronts: The fronts of these variants; empty for no figures of the marks.
+    """
+    errors = {variant: fits[variant].errors for variant in PAPER_VARIANTS}
     last = fits[PAPER_VARIANTS[-1]]
     table = beside_published(errors, fronts, samples, last.settings, trial.geometry)
     return PaperTable(trial, segment, last.samples, last.settings, table)

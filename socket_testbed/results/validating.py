@@ -32,9 +32,10 @@ class Recording:
 
     Attributes:
         name: Its name among the trials.
-        trial: The trial, which gets the notes.
+        trial: The trial.
         settings: The settings of its map and of its fits.
         samples: The samples of its segment, without outliers and left-out channels.
+        note: Called with a text for each model that cannot be fitted.
         prior_map: Its force map with the prior that is judged; None to make it from the samples.
         used: What the map used of a survey, in words; empty without one.
     """
@@ -43,6 +44,7 @@ class Recording:
     trial: Trial
     settings: EstimatorSettings
     samples: Samples
+    note: Callable[[str], None]
     prior_map: ForceMap | None = None
     used: str = ""
 
@@ -69,7 +71,7 @@ class Recording:
         loaded = np.zeros(len(checked.measured), dtype=bool)
         loaded[rows] = samples.under_load(settings.plateau.least_force)
         checked.part(loaded)  # refuses another unit
-        return cls(name, trial, settings, samples)
+        return cls(name, trial, settings, samples, lambda text: trial.note(f"{name}: {text}"))
 
     def with_prior(self, prior: SurveyPrior | None) -> Recording:
         """The recording with the map of its trial, whose prior is a survey, or the ordinary one."""
@@ -92,14 +94,14 @@ class Recording:
             self.settings,
             truth,
             self.name,
-            self._note,
+            self.note,
             self.prior_map,
         )
 
     def judge_others(self, others: Sequence[Recording]) -> list[validation.Judgement]:
         """Judgements of predictions for other trials by models fitted on all of this one."""
         settings = self.settings.identification
-        models = validation.fit_variants(self.loaded, self.trial.geometry, settings, self._note)
+        models = validation.fit_variants(self.loaded, self.trial.geometry, settings, self.note)
         predictors = validation.wrench_predictors(self.smooth, models)
         found: list[validation.Judgement] = []
         for other in others:
@@ -111,9 +113,6 @@ class Recording:
                     samples.wrench, predicted, "other trial", self.name, other.name
                 )
         return found
-
-    def _note(self, text: str) -> None:
-        self.trial.note(f"{self.name}: {text}")
 
     @property
     def loaded(self) -> Samples:

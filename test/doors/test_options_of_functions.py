@@ -143,7 +143,9 @@ def call_evaluate(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
 
     def predicted(stored: Any, samples: Any, past: Any = None) -> Any:
-        stage.seen |= {"predicted": len(samples), "past": len(past), "model of": stored.trial}
+        if past is not None:  # else those of the whole trial
+            stage.seen |= {"predicted": len(samples), "past": len(past)}
+        stage.seen["model of"] = stored.trial
         stage.seen["averaged over"] = stored.settings.pose_smoothing
         return np.zeros((len(samples), 18))
 
@@ -216,7 +218,10 @@ def _stands_for_map(stage: Stage) -> None:
 
         return SimpleNamespace(part=part)
 
-    stage.patch.setattr(TrialMap, "outputs", lambda found, threshold: None)
+    def pressed(found: TrialMap, threshold: float, share: float) -> Any:
+        return SimpleNamespace(threshold=threshold, share=share)
+
+    stage.patch.setattr(TrialMap, "pressure", pressed)
     stage.replace("api.pressure.map_trial", mapped)
 
 
@@ -364,7 +369,7 @@ def call_write_report(stage: Stage, **options: Any) -> None:
         stage.seen["least force"] = settings.plateau.least_force
         stage.seen["model of"] = model and model.trial
         report(1, 6)
-        return SimpleNamespace(data=(), bag_notes=())
+        return SimpleNamespace(bag_notes=())
 
     def written(found, page, command, made, drawing, replace, style) -> None:
         stage.seen |= {"page": str(page), "command": command, "replaced": replace}
@@ -372,6 +377,7 @@ def call_write_report(stage: Stage, **options: Any) -> None:
         if drawing is not None:
             drawing(2, 3)
 
+    stage.watch_trials()
     stage.replace("results.report.compute_results", computed)
     stage.replace("report.write.write_report", written)
     stage.keep("report.write.check_page_path", "checked page", "checked for replacement")

@@ -144,6 +144,14 @@ def test_a_map_gives_its_pressure(trial: Trial) -> None:
     assert len(mapped.outputs(slice(2, 4)).samples) == 2
 
 
+@pytest.mark.parametrize("threshold", [0.0021, 3.3, 5.0, 12.3456, 17.0])
+def test_a_threshold_is_read_as_it_was_given(threshold: float, trial: Trial) -> None:
+    found = st.force_map(trial, "2:5").pressure(threshold)
+    assert found.threshold == found.document()["threshold [kPa]"] == threshold
+    assert found.outputs.threshold == pytest.approx(1e3 * threshold)
+    assert f"above {threshold:g} kPa" in found.contact
+
+
 @pytest.mark.parametrize("time", [1.9, 5.9], ids=["before", "after"])
 def test_an_instant_outside_is_an_error(time: float, trial: Trial) -> None:
     with pytest.raises(TrialError) as raised:

@@ -92,9 +92,11 @@ def test_the_report_fits_with_the_asked_theta(
 
 def test_the_summary_begins_with_the_worst_finding(report) -> None:
     found = tuple(DataFinding(name, "is odd", "look") for name in ("worst", "mild"))
-    said = write.summarise(replace(report.results, data=found))
+    samples = report.results.samples
+    worse, good = (SimpleNamespace(findings=each, samples=samples) for each in (found, ()))
+    said = write.summarise(replace(report.results, checked=worse))
     assert said[1] == "; ".join(map(str, found))
-    assert write.summarise(replace(report.results, data=()))[1] == "data: good"
+    assert write.summarise(replace(report.results, checked=good))[1] == "data: good"
 
 
 def test_a_bench_record_has_source_and_date(report, trial: Trial) -> None:

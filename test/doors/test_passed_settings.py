@@ -60,6 +60,9 @@ def computed(
         stage.seen["judged without"] = leave_out
         return (SimpleNamespace(samples=len(samples)),)
 
+    def published(errors: Any, fronts: Any, samples: Samples, own: Any, geometry: Any) -> None:
+        stage.seen |= {"published": len(samples), "published with": own.smoothness}
+
     def traced(samples: Samples, geometry: Any, own: Any, thetas: Any) -> dict[str, Any]:
         stage.seen |= {"traced": len(samples), "thetas": [*thetas], "traced with": own.smoothness}
         return {}
@@ -71,7 +74,7 @@ def computed(
         stage.seen |= {"validated": len(samples), "validated without": missing.tolist()}
         stage.seen |= {"validated above": own.plateau.least_force, "truth": truth is not None}
         stage.seen["validated after"] = prior_map.surveyed and prior_map.surveyed.name
-        return []
+        return ["judged"]
 
     def mapped(trial: Trial, own: EstimatorSettings, prior: Any) -> Any:
         stage.seen["mapped after"] = prior and prior.name
@@ -79,8 +82,9 @@ def computed(
 
         def part(segment: Segment) -> Any:
             stage.seen["pressure over"] = str(segment)
-            outputs = SimpleNamespace(peak_row=5)
-            return SimpleNamespace(pressure=lambda: SimpleNamespace(outputs=outputs))
+            found = SimpleNamespace(outputs=SimpleNamespace(peak_row=5))
+            pressure = SimpleNamespace(complete=lambda: found)
+            return SimpleNamespace(pressure=lambda: pressure)
 
         def course(count: int, rows: list[int]) -> None:
             stage.seen["course with"] = rows
@@ -91,8 +95,12 @@ def computed(
     stage.replace("identification.fit.predictions", predicted)
     stage.replace("results.models.evaluate", evaluated)
     stage.replace("results.report.pareto_front", traced)
-    stage.replace("results.report.judge_samples", validated)
+    stage.patch.setattr(validation, "judge_samples", validated)
     stage.replace("results.report.map_trial", mapped)
+    stage.replace("results.tradeoff.beside_published", published)
+    stage.keep("results.report.course_of")
+    stage.keep("results.report.data_quality")
+    stage.keep("results.report.notes_on", returned=())
     stage.replace("results.models.smooth_poses", lambda samples, window: (len(samples), window))
     for name, places in {
         "measure_motion": ("", "", "averaged to move"),
@@ -113,7 +121,7 @@ SPAN = "span 2.00 s to 5.00 s"
 WITHOUT = ("Mz",)
 REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "theta": ({"theta": 0.25}, {"theta": 0.25}),
-    "smoothness": ({"smoothness": 0.5}, {"traced with": 0.5}),
+    "smoothness": ({"smoothness": 0.5}, {"traced with": 0.5, "published with": 0.5}),
     "window": (
         {"pose_smoothing": 1.5},
         {
@@ -132,6 +140,7 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
             "map without": WITHOUT,
             "selected without": WITHOUT,
             "sound without": WITHOUT,
+            "checked without": WITHOUT,
         },
     ),
     "frames": (
@@ -139,6 +148,7 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {
             "fitted": 7,
             "traced": 7,
+            "published": 7,
             "averaged to predict 13": "nothing",
             "averaged to predict 7": 0.0,
             "averaged to share": (7, 0.0),

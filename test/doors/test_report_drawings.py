@@ -18,7 +18,9 @@ from socket_testbed.figures.overview import overview_figure
 from socket_testbed.figures.style import DEFAULT_STYLE
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import Judgement
-from socket_testbed.report import quality, validation
+from socket_testbed.report import validation
+from socket_testbed.results.report import notes_on
+from socket_testbed.results.validation import Validation
 from socket_testbed.trials.segment import Segment
 
 PLATEAU = Segment("plateau", 1.0, 9.0, slice(4, 37))
@@ -69,8 +71,9 @@ def test_samples_that_no_variant_fits_are_noted(
         label: replace(found, model=replace(found.model, samples=count))
         for (label, found), count in pairs
     }
-    results = replace(report.results, candidates=candidates)
-    found = [line for line in quality.list_notes(results) if " not fitted" in line]
+    trial, samples = report.results.trial, report.results.samples
+    notes = notes_on(trial, samples, 48, candidates)
+    found = [line for line in notes if " not fitted" in line]
     assert [line.split(" are not")[0] for line in found] == ([note] if note else [])
 
 
@@ -139,6 +142,7 @@ def test_several_trials_have_their_worst_error(trials: tuple[str, ...], titles: 
         for predictor, names in (("force map", trials), ("rigid", trials[:1]))
         for name in names
     ]
-    (table,) = validation.judged_tables(found)
+    names = ("a", "b")
+    (table,) = validation.judged_tables(Validation(names, names, tuple(found), ()))
     assert isinstance(table.frame, pd.DataFrame)
     assert {*table.frame} - {"in 50 % [%]", "in 80 % [%]", "in 95 % [%]"} == titles

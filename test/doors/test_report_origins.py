@@ -77,10 +77,9 @@ class _Moving(scene.HandMap):
 @pytest.fixture
 def moving(report) -> TrialPressure:
     """Pressures whose highest tile changes over the segment."""
-    found = report.results.pressure
     socket = scene.geometry()
-    outputs = replace(found.outputs, force_map=_Moving(socket, tuple(socket.clusters)))
-    return replace(found, outputs=outputs)
+    force_map = _Moving(socket, tuple(socket.clusters))
+    return replace(report.results.pressure.map, force_map=force_map).pressure()
 
 
 def test_the_tile_named_is_the_peak_s(moving: TrialPressure) -> None:

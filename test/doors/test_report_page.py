@@ -775,11 +775,8 @@ def test_a_socket_s_page_has_areas_and_heights(tmp_path: Path) -> None:
     ],
 )
 def test_a_card_names_the_trial_s_highest(own: float, highest: float, words: str) -> None:
-    def outputs(peak: float, row: int) -> SimpleNamespace:
-        values = np.array([1e3, peak])  # the socket is the last region
-        quantity = Quantity(values, values, values, values)
-        return SimpleNamespace(regions=SimpleNamespace(peak=quantity), peak_row=row)
-
-    found = SimpleNamespace(outputs=outputs(own, 0))
-    time = np.array([12.0, 47.75])
-    assert pressure._highest(found, outputs(highest, 1), time) == words  # type: ignore[arg-type]
+    values = np.array([1e3, own])  # the socket is the last region
+    regions = SimpleNamespace(peak=Quantity(values, values, values, values))
+    found: Any = SimpleNamespace(outputs=SimpleNamespace(regions=regions))
+    course: Any = SimpleNamespace(highest=highest, highest_time=47.75)
+    assert pressure._highest(found, course) == words

@@ -56,7 +56,7 @@ def test_others_are_tested_by_these_models(loaded: Any, monkeypatch: pytest.Monk
     monkeypatch.setattr(validation, "fit_variants", lambda *_: {})
     trial: Any = SimpleNamespace(geometry=scene.geometry())
     first, second = (
-        Recording(name, trial, EstimatorSettings(), loaded) for name in ("first", "second")
+        Recording(name, trial, EstimatorSettings(), loaded, print) for name in ("first", "second")
     )
     found = first.judge_others([second])
     assert {(each.fitted_on, each.tested_on) for each in found} == {("first", "second")}
@@ -88,7 +88,7 @@ def test_models_are_judged_on_chosen_trials(
     """Two of three are fitted, the first and the last; of the other, the force map alone."""
     trial: Any = SimpleNamespace(geometry=scene.geometry(), path="nowhere", metadata=None)
     samples: Any = SimpleNamespace(stamps=None)
-    read = [Recording(name, trial, EstimatorSettings(), samples) for name in "abc"]
+    read = [Recording(name, trial, EstimatorSettings(), samples, print) for name in "abc"]
     monkeypatch.setattr(api, "open_different", lambda given: given)
     monkeypatch.setattr(api, "_recordings", lambda *_: read)
     monkeypatch.setattr(validating, "_MAX_FITTED", 2)

@@ -327,7 +327,7 @@ def test_rows_stay_in_their_place(gappy: PressureOutputs) -> None:
 
 
 def test_the_quick_mean_is_the_series(gappy: PressureOutputs) -> None:
-    quick = gappy.mean_pressure()
+    quick = gappy.mean_pressure
     for name in ("value", "low", "high", "scale"):
         np.testing.assert_allclose(getattr(quick, name), getattr(gappy.series.mean, name))
 

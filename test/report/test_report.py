@@ -23,7 +23,6 @@ from socket_testbed.identification.model_file import read_model
 from socket_testbed.report import fronts, validation, write
 from socket_testbed.report.page import Pictures, Section, write_page, write_socket_page
 from socket_testbed.report.pressure import page_data
-from socket_testbed.report.quality import list_notes
 from socket_testbed.report.write import check_page_path, summarise, write_report
 from socket_testbed.results.report import GIVEN, Results, compute_results
 from socket_testbed.settings.identification import PAPER_VARIANTS
@@ -71,7 +70,7 @@ def test_notes_state_a_model_s_weakness(results):
     """In a hold the offsets bear the load."""
     share = results.fitted[BIAS].load_shares()[1].springs
     only = f"only {100 * share:.0f} %"
-    assert any(n.startswith(BIAS) and only in n for n in list_notes(results))
+    assert any(n.startswith(BIAS) and only in n for n in results.notes)
 
 
 @dataclass
@@ -103,11 +102,13 @@ def test_the_report_s_pressure_needs_no_fitted_frame(reduced):
 
 
 def test_a_channel_never_measured_is_a_note(reduced):
-    assert "Never measured over the segment: Mz." in [*list_notes(reduced.results)]
+    assert "Never measured over the segment: Mz." in reduced.results.notes
 
 
 def test_a_channel_left_out_is_no_finding(reduced):
-    assert not any(reduced.left_out[1] in str(finding) for finding in reduced.results.data)
+    assert not any(
+        reduced.left_out[1] in str(finding) for finding in reduced.results.checked.findings
+    )
 
 
 def test_channels_left_out_are_marked(reduced):

@@ -93,7 +93,9 @@ class Stage:
             self.seen["sound without"] = leave_out
             return CheckedSamples(trial.samples(), trial.geometry, leave_out)
 
-        def select(trial: Trial, specification: str, settings: Any) -> Segment:
+        def select(trial: Trial, specification: str | Segment, settings: Any) -> Segment:
+            if isinstance(specification, Segment):
+                return specification
             self.seen["part"] = specification
             self.seen["least force"] = settings.plateau.least_force
             self.seen["selected without"] = settings.identification.leave_out

@@ -22,7 +22,7 @@ import pytest
 
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import Fit
+from socket_testbed.identification.fit import Fit, evaluate
 from socket_testbed.identification.pareto import Front, FrontPoint
 from socket_testbed.identification.solver import BoxSolution, Certificate
 from socket_testbed.identification.validation import (
@@ -112,7 +112,7 @@ def fit_by_hand(
         last_stamp=int(samples.stamps[-1]),
         determined=20.0,
         wrench_rmse=np.full(6, np.nan),
-        errors=(),
+        errors=evaluate(samples, model, settings.leave_out),
         status="solved by hand",
         stage_one=_solution(1e-12, "osqp"),
         stage_two=_solution(2e-11, "warm start"),
@@ -212,10 +212,9 @@ def judgements_by_hand(*given: Any) -> list[Judgement]:
 
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the report fit, trade off and judge by hand."""
-    for name, made in {
-        "fit_contact_model": fit_by_hand,
-        "pareto_front": fronts_by_hand,
-        "judge_samples": judgements_by_hand,
+    for place, made in {
+        "results.models.fit_contact_model": fit_by_hand,
+        "results.report.pareto_front": fronts_by_hand,
+        "identification.validation.judge_samples": judgements_by_hand,
     }.items():
-        home = "models" if name == "fit_contact_model" else "report"
-        monkeypatch.setattr(f"socket_testbed.results.{home}.{name}", made)
+        monkeypatch.setattr(f"socket_testbed.{place}", made)
