@@ -188,7 +188,8 @@ class Evaluation(Result):
             counted.
         errors: Errors of every channel over the segment, in the channel's unit [N m, N]: the
             wrench's six in {S}, then three per cluster in the frame {L} of its tile. Outliers, and
-            cluster forces whose status is not OK, count as not measured.
+            cluster forces whose status is not OK, count as not measured. Poses are averaged within
+            the segment, as in the fit; those of `predicted` also across its ends.
         in_sample: Whether the model was fitted on some samples of the segment.
         predicted: Predictions of the model at all N samples of the trial: the wrench [M; F] in {S}
             [N m, N], then the force on each of the c clusters in the frame {L} of its tile [N],
