@@ -18,7 +18,6 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import (
     check_kind,
     check_number,
-    check_whole,
     convert,
     mapping_of,
     path_of,
@@ -33,13 +32,12 @@ from socket_testbed.geometry.regions import all_regions, tiles_named
 from socket_testbed.geometry.socket import AREA_LIMITS, read_socket, write_socket
 from socket_testbed.results.calibration import CalibratedCluster
 from socket_testbed.results.result import PathLike
+from socket_testbed.settings.options import TileOptions
 
 if TYPE_CHECKING:
     from socket_testbed.socket_design.design import SocketDesign
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
-
-_MAX_CLUSTERS = 1000
 
 
 def calibrate(
@@ -236,7 +234,7 @@ def tile(
         check_kind(direction or "", str, name, "give a text, such as '+z' or '0 0.1 1'")
     if settings is not None:
         check_kind(settings, TilingSettings, "settings", "leave it")
-    place = check_whole(place, "--place", 0, _MAX_CLUSTERS)
+    place = TileOptions(place=place).place
     if points is not None:
         points = convert(plain(points), list[list[float]], "points")  # type: ignore[assignment]
         if [len(point) for point in points] != [3, 3, 3]:

@@ -17,7 +17,7 @@ from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.alignment import MAX_DELAY
-from socket_testbed.settings.options import WrenchOf
+from socket_testbed.settings.options import ImportOptions, WrenchOf
 from socket_testbed.trials import foreign, foreign_recording, foreign_tables, imported
 from socket_testbed.trials.segment import parse_span
 from socket_testbed.trials.trial import Trial
@@ -226,8 +226,8 @@ def _with_triggers(
     if rate is not None and trigger is not None:
         raise ConfigurationError("rate and trigger are both given", "give one of them")
     if rate is not None:
-        check_number(rate, "--rate", 0.1, 1000.0)
-        return msgspec.structs.replace(chosen, rate=rate, trigger=None)
+        stated = ImportOptions(rate=rate)
+        return msgspec.structs.replace(chosen, rate=stated.rate, trigger=None)
     if trigger is not None:
         return msgspec.structs.replace(chosen, rate=None, trigger=trigger)
     if chosen.rate is not None and chosen.trigger is not None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.trials import as_path, as_trial
-from socket_testbed.documents import check_kind, check_number, mapping_of, path_of
+from socket_testbed.documents import check_kind, mapping_of, path_of
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.pressure import check_measured
 from socket_testbed.identification.survey_prior import SurveyPrior, read_survey
@@ -155,8 +155,7 @@ def pressure(
     >>> found.save("pressure.csv")
     """
     trial = as_trial(trial)
-    check_number(threshold, "--threshold", 0.0, 500.0)
-    check_number(share, "--share", 0.0, 5.0)
+    limits = PressureOptions(threshold=threshold, share=share)
     options = EstimationOptions(params=as_path(params), leave_out=leave_out)
     settings = trial.settings_for(options)
     geometry = trial.geometry
@@ -166,4 +165,4 @@ def pressure(
         geometry = dataclasses.replace(geometry, regions=own)
     mapped = _mapped(trial, segment, settings, geometry, prior)
     with threadpool_limits(1):
-        return mapped.pressure(threshold, share)
+        return mapped.pressure(limits.threshold, limits.share)

@@ -93,6 +93,7 @@ def survey(
     """
     specification = specification_of(segment)
     options = EstimationOptions(params=as_path(params))
+    proposed = SurveyOptions(clusters=clusters).clusters
     opened = open_surveyed(trials_of(trials))
     names = unique_names(opened)
     settings = opened[0].settings_for(options)
@@ -104,4 +105,4 @@ def survey(
             chosen = trial.select(specification, own)
             parts.append(SurveyedPart.of(name, trial, own, chosen))
         report(done, steps)
-    return survey_parts(parts, settings.force_map, clusters, keep_out, report)
+    return survey_parts(parts, settings.force_map, proposed, keep_out, report)

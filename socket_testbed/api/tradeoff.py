@@ -9,22 +9,24 @@ import numpy as np
 
 from socket_testbed.api.trials import Progress, as_path, as_trial, started
 from socket_testbed.arrays import FloatArray
-from socket_testbed.documents import check_whole
 from socket_testbed.results.models import part_to_fit
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.tradeoff import PaperTable, Tradeoff, fit_paper, trace_fronts
 from socket_testbed.settings.identification import Weights
-from socket_testbed.settings.options import EstimationOptions, FrontOptions, PaperOptions
+from socket_testbed.settings.options import (
+    EstimationOptions,
+    FrontOptions,
+    PaperOptions,
+    ThetasOptions,
+)
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
-
-_MAX_THETAS = 10_001
 
 
 def theta_values(thetas: int) -> FloatArray:
     """As many evenly spaced thetas from 0 to 1, rounded to readable digits, (thetas,) [-]."""
-    count = check_whole(thetas, "--thetas", 2, _MAX_THETAS)
-    return np.linspace(0.0, 1.0, count).round(10)
+    chosen = ThetasOptions(thetas=thetas)
+    return np.linspace(0.0, 1.0, chosen.thetas).round(10)
 
 
 def pareto(

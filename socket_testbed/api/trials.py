@@ -14,7 +14,6 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import (
     check_kind,
     check_number,
-    check_whole,
     described,
     path_of,
     plain,
@@ -405,9 +404,7 @@ def simulate(
     for kind, name, known in (("scenario", scenario, SCENARIOS), ("tissue", tissue, TISSUES)):
         if name not in known:
             raise ConfigurationError(f"unknown {kind} '{name}'", closest(str(name), known))
-    check_number(duration, "--duration", 1.0, 36000.0)
-    check_number(rate, "--rate", 0.1, 1000.0)
-    seed = check_whole(seed, "--seed")
+    chosen = SimulationOptions(duration=duration, rate=rate, seed=seed)
     donning = check_donning(donning, donning_share)
     check_number(duration * rate, "--duration times --rate", 2, _MAX_TRIGGERS)
     check_trial_folder(folder, replace)
@@ -417,9 +414,9 @@ def simulate(
         read_socket(file_or_packaged(socket_file, SOCKET_FILE)),
         read_calibration(file_or_packaged(calibration_file, CALIBRATION_FILE)),
         scenario,
-        duration,
-        rate,
-        seed,
+        chosen.duration,
+        chosen.rate,
+        chosen.seed,
         LIKE_PAPER if like_paper else None,
         progress=started(progress, "simulating"),
         tissue=tissue,

@@ -7,6 +7,7 @@ imports no array library, so that `--help` and wrong calls stay quick.
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +16,12 @@ from typing import ClassVar, Literal, ParamSpec, TypeVar
 from socket_testbed.settings.options import (
     DONNING,
     DONNING_SHARE,
+    DURATIONS,
     OWN_PARAMS,
     PACKAGED_SOCKET,
     SCENARIO,
     SEED,
+    SEEDS,
     TISSUE,
     CalibrationOptions,
     ComparisonOptions,
@@ -158,7 +161,11 @@ class FolderOptions(Options, heading="for a folder of trials"):
     trial: Path = argument(_TRIALS)
     output: Path | None = option(None, "the output file, or the folder of output files")
     jobs: int | None = option(
-        None, "number of parallel trials (default: one per core)", metavar="N", either="workers"
+        None,
+        "number of parallel trials (default: one per core)",
+        metavar="N",
+        either="workers",
+        limits=(1, sys.maxsize),
     )
     dask: str | None = option(
         None,
@@ -191,9 +198,9 @@ class SimulatedOptions(Options, heading="for simulated hardware"):
 
     simulated: bool = option(False, "simulate the hardware at its buses")
     scenario: Scenario = option(SimulationOptions.scenario, SCENARIO)
-    period: float = option(120.0, "period of the scenario [s]")
+    period: float = option(120.0, "period of the scenario [s]", limits=(5.0, 3600.0))
     tissue: TissueKind = option(SimulationOptions.tissue, TISSUE)
-    seed: int = option(SimulationOptions.seed, SEED)
+    seed: int = option(SimulationOptions.seed, SEED, limits=SEEDS)
     donning: int | None = option(SimulationOptions.donning, DONNING, metavar="SEED")
     donning_share: float = option(SimulationOptions.donning_share, DONNING_SHARE)
     fault: Iterable[str] = several(
@@ -214,7 +221,7 @@ class Demo(
     """Options of `demo`."""
 
     output: Path = option(Path("demo"), "folder of the trial and of the figure")
-    seed: int = option(0, "seed of the simulated testbed")
+    seed: int = option(0, "seed of the simulated testbed", limits=SEEDS)
 
 
 # Set up.
@@ -235,11 +242,15 @@ class Tile(
     output: Path = required(
         "the socket.yaml to write, if any, with a picture (.png) and a page (.html) next to it"
     )
-    height: float = option(80.0, "height of the distal end above the load cell [mm]")
-    size: float = option(30.0, "edge length of a tile [mm]")
+    height: float = option(
+        80.0, "height of the distal end above the load cell [mm]", limits=(0.0, 1000.0)
+    )
+    size: float = option(30.0, "edge length of a tile [mm]", limits=(5.0, 100.0))
     flatness: float = option(8.0, "largest distance of the surface from a tile's plane [mm]")
-    rounds: int = option(300, "rounds of the search; more may find further tiles")
-    seed: int = option(0, "seed of the search")
+    rounds: int = option(
+        300, "rounds of the search; more may find further tiles", limits=(0, 100_000)
+    )
+    seed: int = option(0, "seed of the search", limits=SEEDS)
     points: tuple[str, str, str] | None = option(
         None,
         "origin of {S}, a point on its +x, one towards its +y, picked in the scan in its unit",
@@ -262,7 +273,9 @@ class Calibrate(
 
     bench: list[Path] = argument("CSV files of bench data, see docs/calibration.md")
     output: Path = required("the calibration file; an existing one keeps its other clusters")
-    limit: float = option(10.0, "largest held-out RMSE in percent of full scale")
+    limit: float = option(
+        10.0, "largest held-out RMSE in percent of full scale", limits=(0.0, 100.0)
+    )
     force: bool = option(False, "write even above the limit")
     figure: Path | None = option(None, "draw the fit")
 
@@ -327,7 +340,9 @@ class Run(
     model: Path | None = option(None, _PREDICTING, metavar="MODEL")
     rate: float | None = option(None, "trigger rate [Hz]")
     duration: float | None = option(
-        None, "stop after this testbed time, counted from the first trigger [s]"
+        None,
+        "stop after this testbed time, counted from the first trigger [s]",
+        limits=DURATIONS,
     )
     one_process: bool = option(False, "run all nodes except trigger and recorder in one process")
     view: bool = option(False, "serve the page for a browser, see 'socket-testbed view'")
@@ -386,7 +401,7 @@ class View(
         "folder of a trial to play; without one the running testbed is shown", None
     )
     namespace: str | None = option(None, "namespace of the running testbed (default: /)")
-    duration: float | None = option(None, "stop after this time [s]")
+    duration: float | None = option(None, "stop after this time [s]", limits=DURATIONS)
     allow_host: Iterable[str] = several(
         "further host names of this machine under which browsers may open the page"
     )

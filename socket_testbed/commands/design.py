@@ -38,12 +38,11 @@ _UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
 def tile(call: calls.Tile) -> None:
     """Turn a scan into tiles, frames and neighbours."""
     output = call.output
-    check_number(call.height, "--height", 0.0, 1000.0)
     settings = TilingSettings(
-        edge=1e-3 * check_number(call.size, "--size", 5.0, 100.0),
+        edge=1e-3 * call.size,
         flatness=1e-3 * check_number(call.flatness, "--flatness", 0.1, call.size / 2.0),
-        rounds=int(check_number(call.rounds, "--rounds", 0, 100_000)),
-        seed=int(check_number(call.seed, "--seed", 0)),
+        rounds=call.rounds,
+        seed=call.seed,
     )
     picked = [parse_point(point, "--points") for point in call.points or ()]
     extras = [output.with_suffix(suffix) for suffix in (".png", ".html")]
@@ -156,7 +155,6 @@ def _vector(values: FloatArray, digits: int = 2) -> str:
 def calibrate(call: calls.Calibrate) -> None:
     """Fit a cluster's coefficients to bench data and show their quality."""
     output, into = call.output, call.into
-    check_number(call.limit, "--limit", 0.0, 100.0)
     new = into is not None and into.resolve() != output.resolve()
     check_files(output if new else None, call.figure, replace=call.replace, table=False)
     found = api.calibrate(

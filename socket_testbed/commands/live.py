@@ -84,8 +84,6 @@ def simulated(options: SimulatedOptions) -> tuple[Simulation | None, dict[str, f
         other = {name: value for name, value in chosen.items() if value != getattr(usual, name)}
         refuse_given(other | {"fault": faults or None}, "simulated hardware", "add --simulated")
         return None, {}
-    check_number(options.period, "--period", 5.0, 3600.0)
-    check_number(options.seed, "--seed", 0)
     check_donning(options.donning, options.donning_share)
     return Simulation(**chosen), faults
 
@@ -209,8 +207,6 @@ def run(call: calls.Run) -> None:
         TrialError: A recorded trial is empty, or its recording stopped early.
     """
     duration = call.duration
-    if duration is not None:
-        check_number(duration, "--duration", 0.1, 1e6)
     simulation, faults = simulated(call)
     if simulation is not None:
         simulation = dataclasses.replace(simulation, time_scale=_time_scale(call.time_scale))

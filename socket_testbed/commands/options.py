@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
 from socket_testbed.commands.calls import BatchOptions
 from socket_testbed.commands.terminal import say
-from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_finding import GOOD
@@ -32,7 +31,7 @@ from socket_testbed.settings.testbed import EstimatorSettings, estimator_setting
 from socket_testbed.trials.bag import find_trials
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
 from socket_testbed.trials.reprocess import parse_unloaded
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, check_specification
 from socket_testbed.trials.trial import Trial, naming_notes
 
 if TYPE_CHECKING:
@@ -121,8 +120,11 @@ def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None
 
 
 def check_settings(options: Options) -> None:
-    """Refuse settings and a survey that are wrong for any trial, before one is read."""
+    """Refuse settings, a segment and a survey that are wrong for any trial, before one is read."""
     estimator_settings(EstimatorSettings(), options.overrides(), getattr(options, "params", None))
+    segment: str | None = getattr(options, "segment", None)
+    if segment is not None:
+        check_specification(segment)
     prior: Path | None = getattr(options, "prior", None)
     if prior is not None:
         read_survey(prior)
@@ -368,8 +370,6 @@ def on_trials(verb: TrialVerb[Call, R], call: Call) -> None:
     metadata = (*verb.metadata, "mass")  # the data check compares the load with it
     work = partial(_run_job, verb, call)
     task = Task(verb.name, folder, work, settings, metadata, call.again, call.replace)
-    if call.jobs is not None:
-        check_number(call.jobs, "--jobs", 1)
     report = partial(print, flush=True)
     run_batch(task, planned, report, say, call.jobs, call.dask)
 

@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.arrays import BoolArray, FloatArray, rms
-from socket_testbed.documents import check_whole
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.regions import all_regions, tiles_named
 from socket_testbed.geometry.socket import SocketGeometry
@@ -22,7 +21,6 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
-_MAX_CLUSTERS = 64
 _LOAD_TOLERANCE = 0.05  # [-]; mismatch of like loads that is noted
 
 
@@ -105,11 +103,7 @@ def survey_parts(
     geometry, steps = trials[0].geometry, len(parts) + 2
     donned, mismatch = _matched(parts, settings)
     free = _free_tiles(geometry, parts, keep_out)
-    wanted = (
-        len(donned[-1].tiles)
-        if clusters is None
-        else check_whole(clusters, "--clusters", 0, _MAX_CLUSTERS)
-    )
+    wanted = len(donned[-1].tiles) if clusters is None else clusters
     if wanted > free.sum():
         raise ConfigurationError(
             f"{wanted} clusters do not fit on {free.sum()} tiles that no trial measured",

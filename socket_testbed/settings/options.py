@@ -1,6 +1,7 @@
 """Options that functions of the API and verbs of the command line share.
 
-Each option stands once, as a field: its type, its default, and its text for a reader of `--help`.
+Each option stands once, as a field: its type, its default, its range, and its text for a reader of
+`--help`. An object of options is right for any trial: a number out of its range is refused.
 Signatures of the API take their defaults from here, and the command line is made of these fields.
 Nothing here imports an array library, so that `--help` and wrong calls stay quick.
 """
@@ -9,11 +10,14 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from socket_testbed.documents import FINITE, check_number, check_whole
+from socket_testbed.errors import option_of
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
 from socket_testbed.settings.testbed import ViewSettings
@@ -34,6 +38,10 @@ DONNING_SHARE = (
     "how much a donning differs: about the standard deviation of a tile's force over its rms;"
     " at 0.1 tissue shifts by 2.5 mm and 2.3 degrees, and the mean compression changes by 10 % [-]"
 )
+UNLIMITED = (-FINITE, FINITE)  # limits of a number without any
+SEEDS = (0, sys.maxsize)
+RATES = (0.1, 1000.0)  # [Hz]
+DURATIONS = (0.1, 1e6)  # [s]; of live work
 RECORDED = "recorded"  # the tare that a trial was recorded with
 
 
@@ -45,6 +53,7 @@ def option(
     either: str = "",
     shown: Any = MISSING,
     setting: bool = False,
+    limits: tuple[float, float] = UNLIMITED,
 ) -> Any:
     """A field that is an option of the command line.
 
@@ -55,9 +64,10 @@ def option(
         either: A word that this option shares with those that it excludes; empty for none.
         shown: The default that the help states, where `default` stands for another.
         setting: Whether it overrides the setting of a fit of this name, see `Options.overrides`.
+        limits: The least and the largest value of a number, in its unit.
     """
     metadata = {"text": text, "metavar": metavar, "either": either, "setting": setting}
-    metadata["shown"] = default if shown is MISSING else shown
+    metadata |= {"shown": default if shown is MISSING else shown, "limits": limits}
     return field(default=default, metadata=metadata)
 
 
@@ -139,6 +149,15 @@ class Options:
             )
             cls.__doc__ = "\n".join([inspect.cleandoc(cls.__doc__), "\nAttributes:", *entries])
 
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            value, limits = getattr(self, item.name), item.metadata.get("limits", UNLIMITED)
+            if limits == UNLIMITED or value is None:
+                continue
+            whole = str(item.type).startswith("int")
+            check = check_whole if whole else check_number
+            object.__setattr__(self, item.name, check(value, option_of(item.name), *limits))
+
     def overrides(self) -> dict[str, Any]:
         """The settings of a fit that these options state, by their names; those not None."""
         names = (item.name for item in dataclasses.fields(self) if item.metadata.get("setting"))
@@ -169,6 +188,7 @@ _SEGMENT = (
 OWN_PARAMS = "a testbed.yaml to use instead of the trial's own"
 _PARAMS_OF_EACH = "a testbed.yaml to use instead of each trial's own"
 _THRESHOLD = "pressure above which a tile is in contact [kPa]"
+_THRESHOLDS = (0.0, 500.0)  # [kPa]
 _KEEP_OUT = "regions and tiles excluded from proposals, such as anterior proximal"
 _PARAMS_OF_MAP = f"{OWN_PARAMS}; its group force_map sets the prior"
 
@@ -290,7 +310,7 @@ class FitOptions(PartOptions, EstimationOptions):
 class ThetasOptions(Options):
     """Values of theta along a front."""
 
-    thetas: int = option(101, "number of values of theta from 0 to 1")
+    thetas: int = option(101, "number of values of theta from 0 to 1", limits=(2, 10_001))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,9 +376,11 @@ class MapOptions(PriorOptions):
 class PressureOptions(MapOptions):
     """Options of `st.pressure`."""
 
-    threshold: float = option(5.0, _THRESHOLD)
+    threshold: float = option(5.0, _THRESHOLD, limits=_THRESHOLDS)
     share: float = option(
-        0.5, "a value is uncertain if its interval reaches farther than this share of it [-]"
+        0.5,
+        "a value is uncertain if its interval reaches farther than this share of it [-]",
+        limits=(0.0, 5.0),
     )
     leave_out: Sequence[str] | None = option(
         None,
@@ -372,7 +394,7 @@ class ComparisonOptions(PriorOptions):
     """Options of `st.compare`."""
 
     segment: str = segment_option("plateau")
-    threshold: float = option(PressureOptions.threshold, _THRESHOLD)
+    threshold: float = option(PressureOptions.threshold, _THRESHOLD, limits=_THRESHOLDS)
     by_region: bool = option(False, "compare trials by region alone; their sockets may then differ")
     params: Path | None = option(None, _PARAMS_OF_EACH)
 
@@ -387,6 +409,7 @@ class SurveyOptions(Options):
         "number of clusters of the next trial, for which places are proposed (default: as many as"
         " in the last one)",
         metavar="N",
+        limits=(0, 64),
     )
     keep_out: Sequence[str] = several(_KEEP_OUT)
     params: Path | None = option(None, _PARAMS_OF_EACH)
@@ -462,9 +485,9 @@ class SimulationOptions(Options):
         " calibration whose ranges admit them; the settings stored with the trial leave out the"
         " three channels that the paper leaves out",
     )
-    duration: float = option(120.0, "duration [s]")
-    rate: float = option(TriggerSettings.rate, "trigger rate [Hz]")
-    seed: int = option(0, SEED)
+    duration: float = option(120.0, "duration [s]", limits=(1.0, 36000.0))
+    rate: float = option(TriggerSettings.rate, "trigger rate [Hz]", limits=RATES)
+    seed: int = option(0, SEED, limits=SEEDS)
     donning: int | None = option(None, DONNING, metavar="SEED")
     donning_share: float = option(0.1, DONNING_SHARE)
     geometry: Path | None = option(None, PACKAGED_SOCKET)
@@ -517,6 +540,7 @@ class ImportOptions(Options):
         "rate of triggers over the time that all sources share [Hz] (default:"
         f" {TriggerSettings.rate:g}, unless a trigger is given)",
         either="triggers",
+        limits=RATES,
     )
     trigger: str | None = option(
         None, "topic whose stamps are the triggers", metavar="TOPIC", either="triggers"
@@ -604,6 +628,7 @@ class TileOptions(Options):
         0,
         "total number of clusters: given ones stay, the others are proposed where they are most"
         " informative for the force map; 0: none is proposed",
+        limits=(0, 1000),
     )
     keep_out: Sequence[str] = several(_KEEP_OUT)
     bodies: Path | None = option(

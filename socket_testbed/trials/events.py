@@ -279,17 +279,30 @@ def event_span(specification: str, events: Sequence[Event]) -> tuple[float, floa
         ConfigurationError: If the specification does not have two ends.
         TrialError: If there is no such event or the end is not after the start.
     """
-    ends = [end.strip() for end in specification.split(":")[1:]]
-    if len(ends) != 2 or not all(ends):
-        raise ConfigurationError(f"the segment '{specification}' does not have two ends", _GRAMMAR)
-    start = _moment(ends[0], events, -np.inf)
-    end = _moment(ends[1], events, start)
+    first, last = event_ends(specification)
+    start = _moment(first, events, -np.inf)
+    end = _moment(last, events, start)
     if not start < end:
         raise TrialError(
             f"the segment '{specification}' ends at {end:.2f} s, its start is at {start:.2f} s",
             "give the earlier end first",
         )
     return start, end
+
+
+def event_ends(specification: str) -> tuple[str, str]:
+    """The two ends of a segment `event:A:B`, such as `placed+5` and `removed-2`.
+
+    Args:
+        specification: The segment.
+
+    Raises:
+        ConfigurationError: If it does not have two ends.
+    """
+    ends = [end.strip() for end in specification.split(":")[1:]]
+    if len(ends) != 2 or not all(ends):
+        raise ConfigurationError(f"the segment '{specification}' does not have two ends", _GRAMMAR)
+    return ends[0], ends[1]
 
 
 def _moment(end: str, events: Sequence[Event], after: float) -> float:

@@ -16,7 +16,14 @@ from socket_testbed.documents import check_number, plain, shown
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials.events import Event, event_span, find_events, is_loaded, loaded_span
+from socket_testbed.trials.events import (
+    Event,
+    event_ends,
+    event_span,
+    find_events,
+    is_loaded,
+    loaded_span,
+)
 
 NAMED = ("plateau", "hold", "auto", "all")  # segments
 HINT = f"give {', '.join(NAMED)}, T0:T1 in seconds, or event:A:B"
@@ -73,6 +80,7 @@ def select_segment(
         ConfigurationError: If the specification cannot be parsed.
         TrialError: If there is no such part.
     """
+    check_specification(specification)
     if len(samples) == 0:
         raise TrialError("the trial holds no sample", "record it again")
     if specification == "all":
@@ -91,10 +99,27 @@ def select_segment(
         _no_plateau("hold", samples, settings)
     if specification.startswith("event:"):
         return _span(samples, *event_span(specification, known), specification)
-    if ":" not in specification:
+    return _span(samples, *parse_span(specification, "the segment"), "span")
+
+
+def check_specification(specification: str) -> None:
+    """Refuse a specification that selects no part of any trial.
+
+    Args:
+        specification: The specification, see `select_segment`.
+
+    Raises:
+        ConfigurationError: If it cannot be parsed.
+    """
+    if specification in NAMED:
+        return
+    if specification.startswith("event:"):
+        event_ends(specification)
+    elif ":" in specification:
+        parse_span(specification, "the segment")
+    else:
         near = likely(specification, NAMED)
         raise ConfigurationError(f"unknown segment '{specification}'", f"{near} {HINT}".strip())
-    return _span(samples, *parse_span(specification, "the segment"), "span")
 
 
 def specification_of(segment: object) -> str:

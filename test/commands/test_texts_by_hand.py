@@ -106,7 +106,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "rounds": (
         lambda: design.tile(SCAN, output=OUT, rounds=-1),
-        "--rounds is -1: give a number from 0 to 100000",
+        "--rounds is -1: give a whole number from 0 to 100000",
     ),
     "limit": (
         lambda: design.calibrate([], output=OUT, cluster="a", limit=101.0),
@@ -143,6 +143,20 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
     "condition": (
         lambda: pages._conditions(["gel"]),
         "--condition: 'gel' is not NAME=VALUE: write it as gel=trials/gel1,trials/gel2",
+    ),
+    "segment of any trial": (
+        lambda: options.check_settings(Pressure(Path("nowhere"), segment="plateu")),
+        "unknown segment 'plateu': did you mean 'plateau'? give plateau, hold, auto, all, T0:T1 in"
+        " seconds, or event:A:B",
+    ),
+    "ends of any trial": (
+        lambda: options.check_settings(Pressure(Path("nowhere"), segment="event:placed")),
+        "the segment 'event:placed' does not have two ends: give event:A:B, such as"
+        " event:placed+5:removed-2 or event:push#2:80",
+    ),
+    "threshold": (
+        lambda: Pressure(Path("nowhere"), threshold=-1.0),
+        "--threshold is -1.0: give a number from 0 to 500",
     ),
     "jobs of a trial": (
         lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), jobs=2)),

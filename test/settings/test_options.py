@@ -11,6 +11,7 @@ import pytest
 
 import socket_testbed as st
 from socket_testbed.commands import calls
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings import options
 from socket_testbed.socket_design.tiling import TilingSettings
 
@@ -159,3 +160,71 @@ def test_a_verb_is_called_with_its_own_arguments() -> None:
     assert asked == [calls.Mark("push", namespace="/left")]
     with pytest.raises(TypeError, match="nmespace"):
         verb("push", nmespace="/left")  # type: ignore[call-arg]
+
+
+SEEDS = (0, None)
+RANGES: dict[str, tuple[float, float | None]] = {
+    "calibrate limit": (0.0, 100.0),
+    "compare threshold": (0.0, 500.0),
+    "demo seed": SEEDS,
+    "doctor period": (5.0, 3600.0),
+    "doctor seed": SEEDS,
+    "evaluate jobs": (1, None),
+    "fit jobs": (1, None),
+    "import rate": (0.1, 1000.0),
+    "paper thetas": (2, 10_001),
+    "pareto thetas": (2, 10_001),
+    "pressure threshold": (0.0, 500.0),
+    "pressure share": (0.0, 5.0),
+    "pressure jobs": (1, None),
+    "report thetas": (2, 10_001),
+    "report jobs": (1, None),
+    "run period": (5.0, 3600.0),
+    "run seed": SEEDS,
+    "run duration": (0.1, 1e6),
+    "simulate duration": (1.0, 36_000.0),
+    "simulate rate": (0.1, 1000.0),
+    "simulate seed": SEEDS,
+    "survey clusters": (0, 64),
+    "tile place": (0, 1000),
+    "tile height": (0.0, 1000.0),
+    "tile size": (5.0, 100.0),
+    "tile rounds": (0, 100_000),
+    "tile seed": SEEDS,
+    "view duration": (0.1, 1e6),
+}
+
+
+def called(verb: str, **given: Any) -> Any:
+    """A call of a verb, with a path for all that must be given."""
+    kind: Any = calls.CALLS[verb]
+    missing = {f.name: Path("a") for f in fields(kind) if f.default is MISSING}
+    return kind(**missing | given)
+
+
+@pytest.mark.parametrize("option", RANGES)
+def test_an_option_is_refused_beyond_its_range(option: str) -> None:
+    verb, name = option.split()
+    low, high = RANGES[option]
+    for value in (low, low if high is None else high):
+        assert getattr(called(verb, **{name: value}), name) == value
+    step = 1 if isinstance(low, int) else 0.01
+    for value in (low - step, low - step if high is None else high + step):
+        with pytest.raises(ConfigurationError, match=f"--{name} is "):
+            called(verb, **{name: value})
+
+
+def test_no_other_option_has_a_range() -> None:
+    ranged = {
+        f"{verb} {item.name}"
+        for verb, call in calls.CALLS.items()
+        for item in fields(call)
+        if item.metadata.get("limits", options.UNLIMITED) != options.UNLIMITED
+    }
+    assert ranged == {*RANGES}
+
+
+def test_a_whole_number_stays_one() -> None:
+    assert isinstance(called("simulate", seed=3.0).seed, int)
+    with pytest.raises(ConfigurationError, match="a whole number"):
+        called("simulate", seed=0.5)
