@@ -183,8 +183,12 @@ def test_a_call_is_understood(call: str, made) -> None:
 
 @pytest.mark.parametrize(
     "foreign",
-    [Segment("span", 0.0, 900.0, slice(0, 3600)), Segment("span", 3.0, 5.0, slice(0, 9))],
-    ids=["longer", "at other times"],
+    [
+        Segment("span", 0.0, 900.0, slice(0, 3600)),
+        Segment("span", 3.0, 5.0, slice(0, 9)),
+        Segment("span", 0.0, 5.0, slice(0, 9)),
+    ],
+    ids=["longer", "at other times", "of another rate"],
 )
 def test_a_foreign_segment_is_refused(foreign: Segment, trial) -> None:
     with pytest.raises(TrialError, match="is no part of the trial"):

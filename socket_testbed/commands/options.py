@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
-from socket_testbed.commands.calls import BatchOptions
+from socket_testbed.commands.calls import BatchOptions, Evaluate
 from socket_testbed.commands.terminal import say
 from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_finding import GOOD
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.survey_prior import read_survey
 from socket_testbed.settings.options import (
     RECORDED,
@@ -84,8 +85,11 @@ def left_out(trial: Trial, options: Options) -> Sequence[str] | None:
 
     Args:
         trial: The opened trial.
-        options: Options of the verb: `leave_out`, or `params` with a file of settings.
+        options: Options of the verb: `leave_out`, or `params` with a file of settings; of
+            `evaluate`, the model, which ignores what its fit left out.
     """
+    if isinstance(options, Evaluate):
+        return read_model(options.model).settings.leave_out
     stated: Sequence[str] | None = getattr(options, "leave_out", None)
     params: Path | None = getattr(options, "params", None)
     if stated is not None or params is None:
@@ -375,6 +379,7 @@ def on_trials(verb: TrialVerb[Call, R], call: Call) -> None:
 
 
 def _run_job(verb: TrialVerb[Call, R], call: Call, job: Job) -> Row:
-    data = report_data(job.trial, good=False, leave_out=left_out(job.trial, call))
-    own: dict[str, Any] = {**job.files, "output": job.output}
-    return {"data": data} | verb.row(verb.work(job.trial, dataclasses.replace(call, **own)))
+    files: dict[str, Any] = {**job.files, "output": job.output}
+    own = dataclasses.replace(call, **files)
+    data = report_data(job.trial, good=False, leave_out=left_out(job.trial, own))
+    return {"data": data} | verb.row(verb.work(job.trial, own))

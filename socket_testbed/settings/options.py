@@ -152,7 +152,7 @@ class Options:
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
             value, limits = getattr(self, item.name), item.metadata.get("limits", UNLIMITED)
-            if limits == UNLIMITED or value is None:
+            if limits == UNLIMITED or (value is None and item.default is None):
                 continue
             whole = str(item.type).startswith("int")
             check = check_whole if whole else check_number

@@ -73,7 +73,7 @@ class _Kept:
         events: The recorded events, in recording order.
         checked: The judged samples, by left-out channels.
         raw: The problems that the measurements show, and what nodes reported.
-        notes: The notes as keys, in their order, without duplicates.
+        notes: The notes on readings as keys, in their order, without duplicates.
     """
 
     bag: BagReader | None = None
@@ -95,8 +95,8 @@ class Trial:
         socket_file: A `socket.yaml` instead of the trial's own. Poses of a body whose markers
             differ are refitted to its recorded markers.
         calibration_file: A `calibration.yaml` instead of the trial's own.
-        notify: Called with each note on the bag and on recomputed measurements, one line each; None
-            to keep them only in `notes`.
+        notify: Called with each note, one line each: those that are kept in `notes`, and those that
+            functions send with `note`; None to hear none.
         unloaded: Start and end of unloaded spans since the first sample [s]: none, one before the
             load, or another one after it, from which the clusters' drift is corrected.
         load_cell_file: A `testbed.yaml` with load-cell settings from which the wrenches are
@@ -137,7 +137,7 @@ class Trial:
             return
         with BagReader(self.path) as bag:
             for note in bag.notes:
-                self._notify(note)
+                self._note_reading(note)
             yield bag
 
     @contextmanager
@@ -169,7 +169,7 @@ class Trial:
         try:
             recorded = read_socket(self.path / SOCKET_FILE)
         except ConfigurationError as error:
-            self._notify(f"the poses stay as recorded, with unknown markers: {error}")
+            self._note_reading(f"the poses stay as recorded, with unknown markers: {error}")
             return ()
         return reprocess.other_markers(recorded, self.geometry)
 
@@ -191,7 +191,7 @@ class Trial:
         """The measurements as recorded, with the bridges' ratios if there are any."""
         name = required_topics(bag).get(topics.LOAD_CELL_RAW, "")
         more = {*self.remade} | ({topics.LOAD_CELL_RAW} if bag.counts.get(name) else set())
-        measured = synchronise.read_measurements(bag, self._notify, more)
+        measured = synchronise.read_measurements(bag, self._note_reading, more)
         self._kept.fingerprint = _fingerprint(measured)
         self._kept.tares = tuple(find_tares(measured))
         return self._without_strangers(measured)
@@ -203,11 +203,13 @@ class Trial:
             given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
             recorded = self._parameters.load_cell_node
             measured = reprocess.remake_wrenches(
-                measured, recorded, given, self.tare, where, self._notify
+                measured, recorded, given, self.tare, where, self._note_reading
             )
         if self._other_markers and measured.markers:
             bodies = self._other_markers
-            measured = reprocess.refit_poses(measured, self.geometry, bodies, where, self._notify)
+            measured = reprocess.refit_poses(
+                measured, self.geometry, bodies, where, self._note_reading
+            )
         return measured
 
     def _corrected(self, measured: synchronise.Measurements) -> synchronise.Measurements:
@@ -217,7 +219,7 @@ class Trial:
         self._require_clusters(measured.clusters)
         least_force, where = self.estimator.plateau.least_force, str(self.path)
         return reprocess.correct_measurements(
-            measured, self.unloaded, self.calibration, least_force, where, self._notify
+            measured, self.unloaded, self.calibration, least_force, where, self._note_reading
         )
 
     def samples(self) -> Samples:
@@ -252,7 +254,7 @@ class Trial:
         kept = [i for i, name in enumerate(measured.clusters) if name not in strangers]
         for name in strangers:
             count = counts[measured.clusters.index(name)]
-            self._notify(
+            self._note_reading(
                 f"{count} of {len(measured.stamps)} samples name a cluster '{name}', which the"
                 " calibration or the socket does not know: left out"
             )
@@ -346,7 +348,7 @@ class Trial:
             recorded = self._recorded(bag)
             turned = [*raw_check.check_orientations(bag, self.geometry)]
             reports = raw_check.check_reports(bag, recorded.stamps)
-            self._kept.events = tuple(read_events(bag, recorded.stamps, self._notify))
+            self._kept.events = tuple(read_events(bag, recorded.stamps, self._note_reading))
         remade = self._remade(recorded)
         measured = self._corrected(remade)
         self._require_clusters(measured.clusters)
@@ -409,7 +411,11 @@ class Trial:
 
     @property
     def notes(self) -> list[str]:
-        """The notes on the trial so far, without duplicates."""
+        """Notes on the recording and on recomputed measurements so far, without duplicates.
+
+        Those that other functions send with `note`, such as findings of the data check, are not
+        among them.
+        """
         return [*self._kept.notes]
 
     def note(self, text: str) -> None:
@@ -417,7 +423,7 @@ class Trial:
         if self.notify is not None:
             self.notify(text)
 
-    def _notify(self, note: str) -> None:
+    def _note_reading(self, note: str) -> None:
         self._kept.notes[note] = None
         self.note(note)
 
@@ -430,7 +436,7 @@ class Trial:
         try:
             return read_metadata(stored)
         except ConfigurationError as error:
-            self._notify(f"the metadata are left out: {error}")
+            self._note_reading(f"the metadata are left out: {error}")
             return TrialMetadata()
 
     def events(self) -> list[Event]:
@@ -483,7 +489,10 @@ class Trial:
     def _own(self, segment: Segment) -> Segment:
         """A segment, which must be of this trial."""
         time, rows = self.samples().time, segment.rows
-        if rows.stop > len(time) or not np.isclose(time[rows.start], segment.start, atol=1e-6):
+        own = rows.stop <= len(time) and np.allclose(
+            time[[rows.start, rows.stop - 1]], [segment.start, segment.end], rtol=0.0, atol=1e-6
+        )
+        if not own:
             fact = f"{segment} is no part of the trial {self.path}"
             raise TrialError(fact, "select it from this trial: trial.select(...)")
         return segment

@@ -19,7 +19,7 @@ from support.clocks import FakeClock
 from socket_testbed import api
 from socket_testbed.__main__ import run
 from socket_testbed.commands import demo, live, options, pages, terminal, trials
-from socket_testbed.commands.calls import BatchOptions, Report, SimulatedOptions
+from socket_testbed.commands.calls import BatchOptions, Evaluate, Report, SimulatedOptions
 from socket_testbed.commands.terminal import Progress, decimals, fitted, status_parts, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.fit import ChannelErrors, evaluate, predictions
@@ -642,13 +642,23 @@ def test_a_trial_has_no_options_of_folders(
         options.on_trials(VERB, Judge(tmp_path, **{option: value[option]}))
 
 
+def test_an_evaluation_s_check_ignores_what_the_fit_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    models: Any = {Path("m.json"): SimpleNamespace(settings=SimpleNamespace(leave_out=("Mz",)))}
+    monkeypatch.setattr(options, "read_model", models.get)
+    trial: Any = None
+    assert options.left_out(trial, Evaluate(Path("a"), model=Path("m.json"))) == ("Mz",)
+
+
 def test_a_job_s_row_begins_with_its_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the work is given the output of the job."""
-    monkeypatch.setattr(options, "report_data", lambda trial, good, leave_out: "fine")
+    """The work and the check are given the files and the output of the job."""
+    monkeypatch.setattr(options, "left_out", lambda trial, given: given.params)
+    monkeypatch.setattr(options, "report_data", lambda trial, good, leave_out: leave_out)
     verb: Any = SimpleNamespace(
         work=lambda trial, given: (trial, given.output, given.params),
         row=lambda found: {"found": found},
     )
     job: Any = SimpleNamespace(trial="t", files={"params": "its"}, output="own")
     row = options._run_job(verb, Judge(Path("study"), output=Path("folder")), job)
-    assert row == {"data": "fine", "found": ("t", "own", "its")} and next(iter(row)) == "data"
+    assert row == {"data": "its", "found": ("t", "own", "its")} and next(iter(row)) == "data"
