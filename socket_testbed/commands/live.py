@@ -44,6 +44,7 @@ from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
 from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.options import (
+    EstimationOptions,
     TrialFiles,
     given,
 )
@@ -407,7 +408,7 @@ def replay(call: calls.Replay) -> None:
         trial=str(call.trial.resolve()), rate=call.rate, loop=call.loop, paused=call.paused
     )
     if call.estimate:
-        estimator = estimator_settings(opened.estimator, call.overrides(), call.params)
+        estimator = opened.settings_for(EstimationOptions(**given(call, EstimationOptions)))
         estimator = bringup.predict_with(call.model, estimator, opened.geometry_path)
         nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:

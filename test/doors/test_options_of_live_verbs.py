@@ -491,6 +491,14 @@ def test_a_replay_checks_no_channel_left_out(stage: Stage) -> None:
     assert call_verb(stage, *words)["checked without"] == ("Mz", "distal.Fx")
 
 
+def test_a_replay_leaves_out_a_cluster_by_its_name(stage: Stage) -> None:
+    """As `fit` does; the node knows channels alone."""
+    PREPARE["replay"](stage, Clock())
+    words = joined("replay", LEAST["replay"], {"leave_out": "--leave-out distal"})
+    found = call_verb(stage, *words)
+    assert found[f"{ESTIMATOR}.leave_out"] == ["distal.Fx", "distal.Fy", "distal.Fz"]
+
+
 DEFAULTS: dict[str, dict[str, Any]] = {
     "calibrate": {"limit": 10.0},
     "compare": {"segment": "plateau", "threshold": 5.0},
