@@ -15,7 +15,7 @@ from typing import Any, Literal
 from socket_testbed import clocks
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import ConfigurationOptions, SimulatedOptions, takes
-from socket_testbed.commands.options import (
+from socket_testbed.commands.running import (
     check_metadata,
     left_out,
     name_and_value,

@@ -15,7 +15,7 @@ from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
 from socket_testbed.batch import Row
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
-from socket_testbed.commands.options import (
+from socket_testbed.commands.running import (
     TrialVerb,
     check_files,
     deliver,

@@ -12,7 +12,7 @@ import pytest
 from socket_testbed import api
 from socket_testbed.calibration.drift import Drift
 from socket_testbed.calibration.fit import Outlier
-from socket_testbed.commands import demo, design, live, mark, options, pages, results, trials
+from socket_testbed.commands import demo, design, live, mark, pages, results, running, trials
 from socket_testbed.commands.arguments import Parser
 from socket_testbed.commands.calls import Fit, Pressure, SimulatedOptions
 from socket_testbed.commands.terminal import StatusLine
@@ -145,11 +145,11 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
         "--condition: 'gel' is not NAME=VALUE: write it as gel=trials/gel1,trials/gel2",
     ),
     "jobs of a trial": (
-        lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), jobs=2)),
+        lambda: running.on_trials(FOLDER, Pressure(Path("nowhere"), jobs=2)),
         "--jobs is for a folder of trials: leave it out",
     ),
     "repetition of a trial": (
-        lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), again=True)),
+        lambda: running.on_trials(FOLDER, Pressure(Path("nowhere"), again=True)),
         "--again is for a folder of trials: leave it out",
     ),
 }
@@ -193,9 +193,9 @@ def test_a_wrong_word_has_this_line(
 
 
 def test_a_folder_of_trials_needs_a_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(options, "find_trials", lambda folder, note: {"a": 1, "b": 2, "c": 3})
+    monkeypatch.setattr(running, "find_trials", lambda folder, note: {"a": 1, "b": 2, "c": 3})
     with pytest.raises(ConfigurationError) as found:
-        options.on_trials(FOLDER, Pressure(Path("study"), output=tmp_path, json=True))
+        running.on_trials(FOLDER, Pressure(Path("study"), output=tmp_path, json=True))
     assert str(found.value) == (
         "study holds 3 trials: give -o FOLDER without --json and --figure, or one trial"
     )
@@ -554,9 +554,9 @@ def test_missing_metadata_say_how_to_state_them() -> None:
 
 
 def test_wrong_metadata_name_their_option() -> None:
-    wrong = dict.fromkeys(options.FIELDS) | {"mass": -1.0}
+    wrong = dict.fromkeys(running.FIELDS) | {"mass": -1.0}
     with pytest.raises(TestbedError) as found:
-        options.check_metadata(MetadataOptions(**wrong))
+        running.check_metadata(MetadataOptions(**wrong))
     assert str(found.value).startswith("--mass is -1.0: give a number")
 
 

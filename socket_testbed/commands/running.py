@@ -1,4 +1,4 @@
-"""What several verbs do with their options, and running a verb on a trial or a folder of trials."""
+"""How verbs run: a trial is opened and checked, work done on one or a folder, results delivered."""
 
 from __future__ import annotations
 
