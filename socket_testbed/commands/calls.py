@@ -668,7 +668,6 @@ class Map(
         "table of force, pressure and shear on every tile with standard deviations"
     )
     figure: Path | None = option(None, "draw the mean pressure and its uncertainty")
-    json: bool = internal(False, "not used: its table is long")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -106,18 +106,15 @@ class Field:
     deviations: FloatArray
 
 
-def match_loads(
-    wrenches: Sequence[FloatArray], arm: float, count: int = MAX_STATES
-) -> tuple[IntArray, FloatArray]:
+def match_loads(wrenches: Sequence[FloatArray], arm: float) -> tuple[IntArray, FloatArray]:
     """Samples of several trials with like loads.
 
-    States are spread evenly over the first trial; each other trial contributes the sample with the
-    nearest wrench. States whose load is not found in every trial are left out.
+    At most `MAX_STATES` are spread evenly over the first trial; each other trial contributes the
+    sample with the nearest wrench. States whose load is not found in every trial are left out.
 
     Args:
         wrenches: Wrenches [M; F] of each of J trials, shape (N_j, 6) [N m, N], without NaN.
         arm: Lever arm that turns moments into forces [m].
-        count: Number of states at most.
 
     Returns:
         The rows of each trial, shape (J, S), and the largest mismatch of each state, relative to
@@ -127,7 +124,7 @@ def match_loads(
         IdentificationError: No load is found in every trial.
     """
     scaled = [np.hstack([each[:, MOMENTS] / arm, each[:, FORCES]]) for each in wrenches]
-    chosen = evenly(len(scaled[0]), count)
+    chosen = evenly(len(scaled[0]), MAX_STATES)
     targets = scaled[0][chosen]
     sizes = np.linalg.norm(targets[:, 3:], axis=1)
     rows, apart = [], []

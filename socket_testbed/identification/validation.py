@@ -395,7 +395,7 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
     Raises:
         IdentificationError: If too few samples are under load to fit and test two halves.
     """
-    check_parts(samples, "a validation", pose=True, wrench=True)
+    check_parts(samples, "a validation", wrench=True)
     loaded = np.flatnonzero(samples.under_load(least_force))
     if len(loaded) < 2 * MIN_SAMPLES:
         raise IdentificationError(

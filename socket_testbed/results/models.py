@@ -363,7 +363,7 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     checked = trial.checked(leave_out)
     every, rows = checked.samples, segment.rows
     samples = checked.posed(rows)
-    check_parts(samples, "a prediction", pose=True)
+    check_parts(samples, "a prediction")
     with threadpool_limits(1):
         predicted = model.predictions(samples, every[: rows.start])
         over_trial = model.predictions(every)
