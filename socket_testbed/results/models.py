@@ -18,15 +18,13 @@ from socket_testbed.figures.style import FigureStyle
 from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information
-from socket_testbed.identification.fit import (
+from socket_testbed.identification.channel_errors import (
     ChannelErrors,
-    Fit,
-    FittedModel,
     errors_to_dataframe,
     evaluate,
-    fit_contact_model,
     summarise_errors,
 )
+from socket_testbed.identification.fit import Fit, FittedModel, fit_contact_model
 from socket_testbed.identification.model_file import quoted_figures, record, write_model
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import check_parts

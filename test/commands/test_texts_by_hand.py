@@ -18,7 +18,7 @@ from socket_testbed.commands.calls import Fit, Pressure, SimulatedOptions
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.channel_errors import ChannelErrors
 from socket_testbed.settings.options import MetadataOptions
 from socket_testbed.trials.metadata import TrialMetadata
 

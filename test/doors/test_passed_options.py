@@ -20,8 +20,8 @@ from socket_testbed.calibration.fit import Outlier
 from socket_testbed.commands import design, results, running
 from socket_testbed.errors import TestbedError
 from socket_testbed.identification import validation
+from socket_testbed.identification.channel_errors import evaluate
 from socket_testbed.identification.data_finding import DataFinding
-from socket_testbed.identification.fit import evaluate
 from socket_testbed.report import quality, write
 from socket_testbed.results import models
 from socket_testbed.results.report import compute_results

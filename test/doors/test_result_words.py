@@ -15,9 +15,9 @@ import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.commands import pages, results, running
 from socket_testbed.commands.calls import Fit
+from socket_testbed.identification.channel_errors import ChannelErrors, evaluate
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.differences import Conditions
-from socket_testbed.identification.fit import ChannelErrors, evaluate
 from socket_testbed.results.comparing import values_table
 from socket_testbed.results.comparison import Comparison
 from socket_testbed.results.result import Result

@@ -22,7 +22,8 @@ from socket_testbed.commands import demo, live, pages, running, terminal, trials
 from socket_testbed.commands.calls import BatchOptions, Report, SimulatedOptions
 from socket_testbed.commands.terminal import Progress, decimals, fitted, status_parts, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.fit import ChannelErrors, evaluate, predictions
+from socket_testbed.identification.channel_errors import ChannelErrors, evaluate
+from socket_testbed.identification.fit import predictions
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.settings.options import option
 from socket_testbed.simulation.testbed import Simulation
