@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from socket_testbed.alignment.align import Series, align
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import UPPER_QUANTILE, FloatArray, IntArray
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.alignment import SourceSettings
@@ -22,7 +22,6 @@ _BLOCK = 4.0  # [s]; blocks are left out in turn for the interval
 _MIN_BLOCKS = 4
 _LONGEST_GAP = 10.0  # [s]; in the readings
 _RIDGE = 1e-6  # of the largest variance, below which a direction does not count
-_LEVEL = 0.975  # quantile of a 95 % interval
 _LONGEST = 0.5  # [s]; delay that is looked for, either way
 _NEAR = 4  # steps either side of the best one through which a curve is laid
 _FINE = 100  # parts of a step
@@ -110,7 +109,7 @@ def find_delay(
          for row in range(number)]
     )  # fmt: skip
     error = np.sqrt((number - 1) / number * np.sum((left_out - left_out.mean()) ** 2))
-    half = float(stdtrit(number - 1, _LEVEL) * error)
+    half = float(stdtrit(number - 1, UPPER_QUANTILE) * error)
     if abs(delay) >= _LONGEST - _NEAR * _GRID or half > _MAX_HALF * _LONGEST:
         raise TrialError(
             f"the load does not tell the delay ({1e3 * delay:.0f} +- {1e3 * half:.0f} ms)",

@@ -20,6 +20,7 @@ from socket_testbed.identification import information
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.samples import moments_about
+from socket_testbed.settings.options import ExportOptions
 from socket_testbed.tables import write_table
 from socket_testbed.trials.export import (
     EXPORT_FORMATS,
@@ -47,7 +48,7 @@ def _is_point(about: object) -> bool:
 def export(
     trial: Trial | PathLike,
     path: PathLike,
-    segment: str | Span | Segment = "all",
+    segment: str | Span | Segment = ExportOptions.segment,
     model: Model | None = None,
     force_map: bool = False,
     pressure: bool = False,

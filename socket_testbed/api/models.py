@@ -19,7 +19,7 @@ from socket_testbed.identification.model_file import read_model as _read_model
 from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge, part_to_fit
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.identification import Variant, Weights
-from socket_testbed.settings.options import EstimationOptions
+from socket_testbed.settings.options import EstimationOptions, EvaluationOptions, FitOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
@@ -29,7 +29,7 @@ Model: TypeAlias = TrialFit | FittedModel | PathLike
 
 def fit(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = FitOptions.segment,
     *,
     params: PathLike | None = None,
     variant: Variant | str | None = None,
@@ -203,7 +203,7 @@ def _select(trial: Trial, stored: FittedModel, segment: str | Span | Segment) ->
 def evaluate(
     trial: Trial | PathLike,
     model: Model,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = EvaluationOptions.segment,
     *,
     pose_smoothing: float | None = None,
     pressure: bool = False,

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def write_report(
     trial: Trial | PathLike,
     page: PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = ReportOptions.segment,
     *,
     model: Model | None = None,
     thetas: int = ReportOptions.thetas,

@@ -29,7 +29,7 @@ def theta_values(thetas: int) -> FloatArray:
 
 def pareto(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = FrontOptions.segment,
     *,
     thetas: int = FrontOptions.thetas,
     params: PathLike | None = None,
@@ -92,7 +92,7 @@ def pareto(
 
 def paper(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = PaperOptions.segment,
     *,
     thetas: int = PaperOptions.thetas,
     weights: Weights = PaperOptions.weights,

@@ -19,7 +19,7 @@ from itertools import chain
 
 import numpy as np
 
-from socket_testbed.arrays import evenly
+from socket_testbed.arrays import NORMAL_QUANTILE, evenly
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.channel_check import check_channels
@@ -32,7 +32,6 @@ from socket_testbed.identification.data_finding import (
     DataFinding,
 )
 from socket_testbed.identification.force_map import (
-    NORMAL_QUANTILE,
     ForceMap,
     left_out_pressures,
 )

@@ -47,7 +47,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
+from socket_testbed.arrays import UPPER_QUANTILE, BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.map_posterior import (
@@ -71,7 +71,6 @@ MODEL_ERROR = 0.15
 _WRENCH = len(WRENCH_CHANNELS)
 _RIDGE = 1e-3  # [-]; variance of the wrench that donning may change, relative to the prior's
 _MAX_PLANNED = 12  # likeliest ones, for which places are compared
-_QUANTILE = 0.975  # of the upper end of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -709,7 +708,7 @@ def _interval(value: float, error: float, freedom: int) -> Interval:
     """A value whose logarithm has a standard error and Student's t distribution."""
     if freedom < 1:
         return Interval(value, float("nan"), float("nan"))
-    reach = float(np.exp(min(error * stdtrit(freedom, _QUANTILE), 50.0)))
+    reach = float(np.exp(min(error * stdtrit(freedom, UPPER_QUANTILE), 50.0)))
     return Interval(value, value / reach, value * reach)
 
 
