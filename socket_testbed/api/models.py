@@ -19,7 +19,7 @@ from socket_testbed.identification.model_file import read_model as _read_model
 from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge, part_to_fit
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.identification import Variant, Weights
-from socket_testbed.settings.options import EstimationOptions, EvaluationOptions, FitOptions
+from socket_testbed.settings.options import EvaluationOptions, FitOptions, SettingsOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
@@ -83,7 +83,7 @@ def fit(
     'N'
     >>> fitted.save("hold.json")
     """
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         variant=variant,
         theta=theta,

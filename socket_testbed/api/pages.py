@@ -20,7 +20,7 @@ from socket_testbed.results.comparison import Comparison
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.settings.identification import Weights
-from socket_testbed.settings.options import EstimationOptions, ReportOptions
+from socket_testbed.settings.options import ReportOptions, SettingsOptions
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -97,7 +97,7 @@ def write_report(
     >>> list(results.fitted)
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=trials.as_path(params),
         theta=theta,
         weights=weights,

@@ -17,7 +17,7 @@ from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.samples import check_channels
-from socket_testbed.settings.options import EstimationOptions, MapOptions, PressureOptions
+from socket_testbed.settings.options import MapOptions, PressureOptions, SettingsOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -64,7 +64,7 @@ def force_map(
     (1, 200, 79, 3)
     """
     trial = as_trial(trial)
-    settings = trial.settings_for(EstimationOptions(params=as_path(params)))
+    settings = trial.settings_for(SettingsOptions(params=as_path(params)))
     return _mapped(trial, segment, settings, prior=prior)
 
 
@@ -157,7 +157,7 @@ def pressure(
     trial = as_trial(trial)
     check_number(threshold, "--threshold", 0.0, 500.0)
     check_number(share, "--share", 0.0, 5.0)
-    options = EstimationOptions(params=as_path(params), leave_out=leave_out)
+    options = SettingsOptions(params=as_path(params), leave_out=leave_out)
     settings = trial.settings_for(options)
     geometry = trial.geometry
     if regions is not None:

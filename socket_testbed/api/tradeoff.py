@@ -14,7 +14,7 @@ from socket_testbed.results.models import part_to_fit
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.tradeoff import PaperTable, Tradeoff, fit_paper, trace_fronts
 from socket_testbed.settings.identification import Weights
-from socket_testbed.settings.options import EstimationOptions, FrontOptions, PaperOptions
+from socket_testbed.settings.options import FrontOptions, PaperOptions, SettingsOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
@@ -73,7 +73,7 @@ def pareto(
     >>> tradeoff.draw("front.png")
     """
     values = theta_values(thetas)
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         weights=weights,
         smoothness=smoothness,
@@ -138,7 +138,7 @@ def paper(
     [3.99, 0.95]
     """
     values = theta_values(thetas)
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         weights=weights,
         frames=frames,
