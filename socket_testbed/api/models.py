@@ -49,8 +49,8 @@ def fit(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `trials.segment.select_segment`; also a span as a tuple, such
-            as `(10, 20)` [s], or a `Segment`: see `trial.select`.
+        segment: The part to fit, such as `plateau`, `hold`, `10:20` or `(10, 20)` [s], or a
+            `Segment`: see `Trial.select` for all that it may be.
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: The law: `stiffness` as published, `rigid` by the limb's pose; `_bias` with offsets
             [-].
