@@ -8,15 +8,20 @@ from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import as_path, as_trial
-from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.model_file import read_model as _read_model
-from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge, part_to_fit
+from socket_testbed.results.models import (
+    Evaluation,
+    TrialFit,
+    fit_segment,
+    judge,
+    part_to_fit,
+    predictions,
+)
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.options import EvaluationOptions, FitOptions, SettingsOptions
@@ -137,22 +142,6 @@ def model_for(trial: Trial, model: Model) -> FittedModel:
         model = read_model(model)
     model.require_socket(trial.geometry)
     return model
-
-
-def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
-    """Predictions of all channels at all samples of a trial.
-
-    Args:
-        trial: The trial, whose limb poses the model is given.
-        stored: The model.
-
-    Returns:
-        The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
-        of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
-    """
-    samples = trial.checked(stored.settings.leave_out).posed()
-    with threadpool_limits(1):
-        return stored.predictions(samples)
 
 
 def predict(

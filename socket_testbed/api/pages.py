@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Literal
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api import trials
-from socket_testbed.api.models import Model, model_for, predictions
+from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.pressure import prior_for
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.figures.style import figure_style
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.results.comparison import Comparison
+from socket_testbed.results.models import predictions
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.settings.identification import Weights

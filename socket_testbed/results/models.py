@@ -345,6 +345,22 @@ def fit_segment(
     return TrialFit(trial, segment, named)
 
 
+def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
+    """Predictions of all channels at all samples of a trial.
+
+    Args:
+        trial: The trial, whose limb poses the model is given.
+        stored: The model.
+
+    Returns:
+        The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
+        of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
+    """
+    samples = trial.checked(stored.settings.leave_out).posed()
+    with threadpool_limits(1):
+        return stored.predictions(samples)
+
+
 def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     """Errors of a model on a segment of a trial.
 
