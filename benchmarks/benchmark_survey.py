@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import NORMAL_QUANTILE, FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
@@ -167,7 +167,7 @@ def survey_limb(
         completed=tuple(relative(each, truth[0], bare) for each in completed),
         limb=relative(joint.field(), truth[0], bare),
         stated=judged.completed.value,
-        within=float(np.mean(off <= 1.96 * completed[-1].deviations[:, bare])),
+        within=float(np.mean(off <= NORMAL_QUANTILE * completed[-1].deviations[:, bare])),
     )
 
 

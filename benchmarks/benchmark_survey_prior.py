@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from benchmark_survey import LOADED, hold_of, measured_values, places, print_rows
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import NORMAL_QUANTILE, FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap
+from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.survey import Donned, JointMap, match_loads
 from socket_testbed.identification.survey_prior import SurveyPrior, learnt
 from socket_testbed.samples import Samples, Status

@@ -22,7 +22,7 @@ from launch import LaunchContext, LaunchDescription
 from socket_testbed.files import TemporaryFolder
 from socket_testbed.live.bringup import replay_nodes
 from socket_testbed.live.processes import launch_environment, launch_namespace, launched
-from socket_testbed.settings.options import EstimationOptions
+from socket_testbed.settings.options import SettingsOptions
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.trial import Trial
 
@@ -54,7 +54,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
         rate=yaml.safe_load(given["rate"]),
         loop=yaml.safe_load(given["loop"]),
     )
-    estimator = trial.settings_for(EstimationOptions(params=params))
+    estimator = trial.settings_for(SettingsOptions(params=params))
     nodes = [
         Node(**launched(node, Path(TEMPORARY.name)))
         for node in replay_nodes(trial, replay, estimator)

@@ -15,6 +15,10 @@ StatusArray: TypeAlias = NDArray[np.uint8]
 GAP = 1.5  # samples were lost; a difference across it is not noise
 BREAK = 3.0  # the data is unknown: no value holds and no line runs across it
 
+# A 95 % interval
+NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each of its ends
+UPPER_QUANTILE = 0.975  # [-]; share of the probability below its upper end
+
 _AROUND = 10  # steps on either side of one that show the usual step
 TOLERANCE = 1e-6  # [s]; of a time
 _MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable

@@ -19,7 +19,7 @@ from socket_testbed.api.design import CalibratedCluster
 from socket_testbed.errors import TestbedError, TrialError
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.results import comparing, result, validating
-from socket_testbed.settings.options import EstimationOptions
+from socket_testbed.settings.options import SettingsOptions
 from socket_testbed.trials.events import Event
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -336,7 +336,7 @@ def test_an_export_is_refused_with_this_line(case: str, tmp_path: Path) -> None:
 
 OTHERS = {
     "no trial": (
-        lambda: validation._recordings([], "all", EstimationOptions(), None),
+        lambda: validation._recordings([], "all", SettingsOptions(), None),
         "no trial to validate on: give one or more trials",
     ),
     "no figure": (

@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from socket_testbed.alignment.align import Series, align
 from socket_testbed.alignment.series import ClusterSeries, PoseSeries, WrenchSeries
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import UPPER_QUANTILE, FloatArray, IntArray
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.alignment import SourceSettings
@@ -22,7 +22,7 @@ _BLOCK = 4.0  # [s]; blocks are left out in turn for the interval
 _MIN_BLOCKS = 4
 _LONGEST_GAP = 10.0  # [s]; in the readings
 _RIDGE = 1e-6  # of the largest variance, below which a direction does not count
-_LEVEL = 0.975  # quantile of a 95 % interval
+_LONGEST = 0.5  # [s]; delay that is looked for, either way
 _NEAR = 4  # steps either side of the best one through which a curve is laid
 _FINE = 100  # parts of a step
 _MAX_HALF = 0.5  # of the longest delay; a wider interval is no answer
@@ -67,7 +67,6 @@ def find_delay(
     load: WrenchSeries,
     source: PoseSeries | ClusterSeries,
     socket: PoseSeries | None = None,
-    longest: float = 0.5,
 ) -> Delay:
     """Delay of poses or clusters behind the load that moves or presses them.
 
@@ -83,7 +82,6 @@ def find_delay(
         source: The pose of the limb's body, or the clusters.
         socket: The pose of the socket's body, in which that of the limb is taken; None for a socket
             at rest.
-        longest: Longest delay that is looked for, either way [s].
 
     Raises:
         TrialError: If they share too little time, have a long gap, or the load does not tell the
@@ -92,7 +90,7 @@ def find_delay(
     from scipy import signal  # slow to import
 
     every = [load, source] if socket is None else [load, source, socket]
-    grid = _common_times([series.times for series in every], longest)
+    grid = _common_times([series.times for series in every])
     forces = _band(_on_grid(load, grid), "the load")
     turned = np.imag(signal.hilbert(forces, axis=0))
     moved = _band(_motion(source, socket, grid), "the source")
@@ -101,7 +99,7 @@ def find_delay(
     sums = _sums(
         _uncorrelated(np.hstack([forces, turned])[inner]),
         _uncorrelated(moved[inner]),
-        round(longest / _GRID),
+        round(_LONGEST / _GRID),
     )
     total = tuple(blocks.sum(axis=0) for blocks in sums)
     delay, agreement = _best(*total)
@@ -111,8 +109,8 @@ def find_delay(
          for row in range(number)]
     )  # fmt: skip
     error = np.sqrt((number - 1) / number * np.sum((left_out - left_out.mean()) ** 2))
-    half = float(stdtrit(number - 1, _LEVEL) * error)
-    if abs(delay) >= longest - _NEAR * _GRID or half > _MAX_HALF * longest:
+    half = float(stdtrit(number - 1, UPPER_QUANTILE) * error)
+    if abs(delay) >= _LONGEST - _NEAR * _GRID or half > _MAX_HALF * _LONGEST:
         raise TrialError(
             f"the load does not tell the delay ({1e3 * delay:.0f} +- {1e3 * half:.0f} ms)",
             "push briskly from all sides for a minute, or state the delay",
@@ -120,12 +118,12 @@ def find_delay(
     return Delay(delay, delay - half, delay + half, agreement)
 
 
-def _common_times(times: list[IntArray], longest: float) -> IntArray:
+def _common_times(times: list[IntArray]) -> IntArray:
     """A grid of times that all sources share, shape (N,) [ns]."""
     start = max(int(own[0]) if len(own) else 0 for own in times)
     end = min(int(own[-1]) if len(own) else 0 for own in times)
     shared = max(0.0, (end - start) * 1e-9)
-    least = _MIN_BLOCKS * _BLOCK + 2.0 * (longest + _EDGE)
+    least = _MIN_BLOCKS * _BLOCK + 2.0 * (_LONGEST + _EDGE)
     if shared < least:
         raise TrialError(
             f"the load and the source share {shared:.3g} s, and a delay needs {least:.3g} s",

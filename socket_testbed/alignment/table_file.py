@@ -31,6 +31,7 @@ _GERMAN = re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}(?: .*)?")
 _CLOCK = re.compile(r"\d{1,2}:\d{2}(?::\d{2}(?:\.\d*)?)?")
 _STEPS = (5e-5, 60.0)  # [s]; a median step outside has another unit
 _DATED = (9e8, 4e9)  # [s] since 1970, from 1998 to 2096
+_MAX_TITLES = 12  # in an error
 
 
 @dataclass(frozen=True)
@@ -155,14 +156,9 @@ def has_column(table: TextTable, title: str) -> bool:
     return bool(title) and any(title in (own, split_title(own, WRITTEN)[0]) for own in table.titles)
 
 
-def shown_titles(table: TextTable, most: int = 12) -> str:
-    """The titles of a table in one line, for errors.
-
-    Args:
-        table: The table.
-        most: Number of titles to show; the others are only counted.
-    """
-    return listed([f"'{title}'" for title in table.titles if title], most)
+def shown_titles(table: TextTable) -> str:
+    """The titles of a table in one line, for errors; those beyond a dozen are only counted."""
+    return listed([f"'{title}'" for title in table.titles if title], _MAX_TITLES)
 
 
 def time_columns(table: TextTable, stated: TableFormat) -> list[int]:

@@ -36,7 +36,7 @@ _MAX_ITEMS = 200  # trials or conditions
 def compare(
     *items: Trial | PathLike,
     conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = ComparisonOptions.segment,
     threshold: float = ComparisonOptions.threshold,
     by_region: bool = False,
     params: PathLike | None = None,

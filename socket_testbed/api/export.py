@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
-
 import pandas as pd
 
 from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.cycles import cycles_by
-from socket_testbed.api.models import Model, model_for, predictions
+from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import as_trial
 from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_suffix
-from socket_testbed.identification import information
+from socket_testbed.results.export import export_table, sources
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
-from socket_testbed.samples import moments_about
+from socket_testbed.settings.options import ExportOptions
 from socket_testbed.tables import write_table
 from socket_testbed.trials.export import (
     EXPORT_FORMATS,
     GAIT_FORMATS,
-    sample_table,
     write_gait_file,
     write_standard_bag,
 )
@@ -47,7 +43,7 @@ def _is_point(about: object) -> bool:
 def export(
     trial: Trial | PathLike,
     path: PathLike,
-    segment: str | Span | Segment = "all",
+    segment: str | Span | Segment = ExportOptions.segment,
     model: Model | None = None,
     force_map: bool = False,
     pressure: bool = False,
@@ -135,51 +131,20 @@ def export(
         table = write_gait_file(trial, chosen.rows, path, about)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
-    notes: tuple[str, ...] = ()
-    measured, samples = trial.measurements_and_samples()
-    predicted = None
-    added: list[pd.DataFrame] = []
-    sources: dict[str, None] = {}
-    if stored is not None:
-        predicted = predictions(trial, stored)
-        predicted[:, :6] = moments_about(predicted[:, :6], about)
-        engaged = information.engagement(
-            trial.checked(stored.settings.leave_out).samples,
-            stored.model,
-            stored.settings.pose_smoothing,
-        )
-        added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
-    for source, columns in _mapped(trial, chosen, force_map, pressure, prior):
-        added.append(columns)
-        sources[source] = None
-    moved = dataclasses.replace(samples, wrench=moments_about(samples.wrench, about))
-    table = sample_table(measured, moved, trial.calibration, chosen, predicted)
-    table = pd.concat([table, *(each.set_axis(table.index) for each in added)], axis=1)
+    mapped = force_map_of(trial, chosen, prior=prior) if force_map else None
+    pressures = pressure_of(trial, chosen, prior=prior) if pressure else None
+    table = export_table(trial, chosen, stored, mapped, pressures, about)
     rows = f"{len(table)} samples"
     if cycles is not None:
         found = cycles_of(trial, table, by=cycles, segment=chosen)
         table, rows = found.to_dataframe(), str(found)
+    notes: tuple[str, ...] = ()
     if as_bag:
+        measured, _ = trial.measurements_and_samples()
         notes = write_standard_bag(measured, chosen.rows, table, path)
     else:
         write_table(table, path)
     if prior is not None:
-        notes = (*notes, *sources)
+        notes = (*notes, *sources(mapped, pressures))
     table.attrs |= {"segment": str(chosen), "rows": rows, "notes": notes}
     return table
-
-
-def _mapped(
-    trial: Trial,
-    chosen: Segment,
-    force_map: bool,
-    pressure: bool,
-    prior: Survey | PathLike | None,
-) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Columns of the force map and of the pressure outputs, each with their source in words."""
-    if force_map:
-        found = force_map_of(trial, chosen, prior=prior).estimate
-        yield found.source, pd.DataFrame(found.columns(trial.geometry.names, "map."))
-    if pressure:
-        outputs = pressure_of(trial, chosen, prior=prior)
-        yield outputs.outputs.source, outputs.over_time().add_prefix("pressure.")

@@ -8,18 +8,23 @@ from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import as_path, as_trial
-from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.model_file import read_model as _read_model
-from socket_testbed.results.models import Evaluation, TrialFit, fit_segment, judge, part_to_fit
+from socket_testbed.results.models import (
+    Evaluation,
+    TrialFit,
+    fit_segment,
+    judge,
+    part_to_fit,
+    predictions,
+)
 from socket_testbed.results.result import PathLike
 from socket_testbed.settings.identification import Variant, Weights
-from socket_testbed.settings.options import EstimationOptions
+from socket_testbed.settings.options import EvaluationOptions, FitOptions, SettingsOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
@@ -29,7 +34,7 @@ Model: TypeAlias = TrialFit | FittedModel | PathLike
 
 def fit(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = FitOptions.segment,
     *,
     params: PathLike | None = None,
     variant: Variant | str | None = None,
@@ -49,8 +54,8 @@ def fit(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `trials.segment.select_segment`; also a span as a tuple, such
-            as `(10, 20)` [s], or a `Segment`: see `trial.select`.
+        segment: The part to fit, such as `plateau`, `hold`, `10:20` or `(10, 20)` [s], or a
+            `Segment`: see `Trial.select` for all that it may be.
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: The law: `stiffness` as published, `rigid` by the limb's pose; `_bias` with offsets
             [-].
@@ -83,7 +88,7 @@ def fit(
     'N'
     >>> fitted.save("hold.json")
     """
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         variant=variant,
         theta=theta,
@@ -139,22 +144,6 @@ def model_for(trial: Trial, model: Model) -> FittedModel:
     return model
 
 
-def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
-    """Predictions of all channels at all samples of a trial.
-
-    Args:
-        trial: The trial, whose limb poses the model is given.
-        stored: The model.
-
-    Returns:
-        The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
-        of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
-    """
-    samples = trial.checked(stored.settings.leave_out).posed()
-    with threadpool_limits(1):
-        return stored.predictions(samples)
-
-
 def predict(
     trial: Trial | PathLike, model: Model, segment: str | Span | Segment = "all"
 ) -> pd.DataFrame:
@@ -203,7 +192,7 @@ def _select(trial: Trial, stored: FittedModel, segment: str | Span | Segment) ->
 def evaluate(
     trial: Trial | PathLike,
     model: Model,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = EvaluationOptions.segment,
     *,
     pose_smoothing: float | None = None,
     pressure: bool = False,

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Literal
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api import trials
-from socket_testbed.api.models import Model, model_for, predictions
+from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.pressure import prior_for
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.documents import check_kind, path_of
 from socket_testbed.figures.style import figure_style
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.results.comparison import Comparison
+from socket_testbed.results.models import predictions
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.settings.identification import Weights
-from socket_testbed.settings.options import EstimationOptions, ReportOptions
+from socket_testbed.settings.options import ReportOptions, SettingsOptions
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 def write_report(
     trial: Trial | PathLike,
     page: PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = ReportOptions.segment,
     *,
     model: Model | None = None,
     thetas: int = ReportOptions.thetas,
@@ -97,7 +98,7 @@ def write_report(
     >>> list(results.fitted)
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=trials.as_path(params),
         theta=theta,
         weights=weights,

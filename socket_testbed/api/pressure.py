@@ -17,7 +17,7 @@ from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.samples import check_channels
-from socket_testbed.settings.options import EstimationOptions, PressureOptions
+from socket_testbed.settings.options import MapOptions, PressureOptions, SettingsOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -25,7 +25,7 @@ from socket_testbed.trials.trial import Trial
 
 def force_map(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = MapOptions.segment,
     *,
     params: PathLike | None = None,
     prior: Survey | PathLike | None = None,
@@ -64,7 +64,7 @@ def force_map(
     (1, 200, 79, 3)
     """
     trial = as_trial(trial)
-    settings = trial.settings_for(EstimationOptions(params=as_path(params)))
+    settings = trial.settings_for(SettingsOptions(params=as_path(params)))
     return _mapped(trial, segment, settings, prior=prior)
 
 
@@ -109,7 +109,7 @@ def prior_for(trial: Trial, prior: Survey | PathLike | None) -> SurveyPrior | No
 
 def pressure(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = PressureOptions.segment,
     *,
     threshold: float = PressureOptions.threshold,
     share: float = PressureOptions.share,
@@ -156,7 +156,7 @@ def pressure(
     """
     trial = as_trial(trial)
     limits = PressureOptions(threshold=threshold, share=share)
-    options = EstimationOptions(params=as_path(params), leave_out=leave_out)
+    options = SettingsOptions(params=as_path(params), leave_out=leave_out)
     settings = trial.settings_for(options)
     geometry = trial.geometry
     if regions is not None:

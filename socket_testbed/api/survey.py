@@ -17,7 +17,7 @@ from socket_testbed.errors import ConfigurationError, IdentificationError, namin
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
 from socket_testbed.results.surveying import SurveyedPart, survey_parts
-from socket_testbed.settings.options import EstimationOptions, SurveyOptions
+from socket_testbed.settings.options import SettingsOptions, SurveyOptions
 from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
 
@@ -92,7 +92,7 @@ def survey(
     >>> st.write_survey(found, "survey.html")
     """
     specification = specification_of(segment)
-    options = EstimationOptions(params=as_path(params))
+    options = SettingsOptions(params=as_path(params))
     proposed = SurveyOptions(clusters=clusters).clusters
     opened = open_surveyed(trials_of(trials))
     names = unique_names(opened)

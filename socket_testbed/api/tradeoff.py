@@ -14,9 +14,9 @@ from socket_testbed.results.result import PathLike
 from socket_testbed.results.tradeoff import PaperTable, Tradeoff, fit_paper, trace_fronts
 from socket_testbed.settings.identification import Weights
 from socket_testbed.settings.options import (
-    EstimationOptions,
     FrontOptions,
     PaperOptions,
+    SettingsOptions,
     ThetasOptions,
 )
 from socket_testbed.trials.segment import Segment, Span
@@ -31,7 +31,7 @@ def theta_values(thetas: int) -> FloatArray:
 
 def pareto(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = FrontOptions.segment,
     *,
     thetas: int = FrontOptions.thetas,
     params: PathLike | None = None,
@@ -75,7 +75,7 @@ def pareto(
     >>> tradeoff.draw("front.png")
     """
     values = theta_values(thetas)
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         weights=weights,
         smoothness=smoothness,
@@ -94,7 +94,7 @@ def pareto(
 
 def paper(
     trial: Trial | PathLike,
-    segment: str | Span | Segment = "plateau",
+    segment: str | Span | Segment = PaperOptions.segment,
     *,
     thetas: int = PaperOptions.thetas,
     weights: Weights = PaperOptions.weights,
@@ -140,7 +140,7 @@ def paper(
     [3.99, 0.95]
     """
     values = theta_values(thetas)
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         weights=weights,
         frames=frames,

@@ -22,14 +22,14 @@ from socket_testbed.results.survey import Survey
 from socket_testbed.results.validating import Recording, judge_recordings, pass_over_failed
 from socket_testbed.results.validation import Validation
 from socket_testbed.settings.identification import Weights
-from socket_testbed.settings.options import EstimationOptions
+from socket_testbed.settings.options import SettingsOptions, ValidationOptions
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 
 def validate(
     *trials: Trial | PathLike,
-    segment: str | Span | Segment = "all",
+    segment: str | Span | Segment = ValidationOptions.segment,
     params: PathLike | None = None,
     theta: float | None = None,
     weights: Weights | None = None,
@@ -85,7 +85,7 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    options = EstimationOptions(
+    options = SettingsOptions(
         params=as_path(params),
         theta=theta,
         weights=weights,
@@ -104,7 +104,7 @@ def validate(
 def _recordings(
     trials: Sequence[Trial],
     segment: str | Span | Segment,
-    options: EstimationOptions,
+    options: SettingsOptions,
     prior: Survey | PathLike | None,
 ) -> list[Recording]:
     """Read the trials, which must be of one socket."""

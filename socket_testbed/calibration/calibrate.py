@@ -19,7 +19,7 @@ import pandas as pd
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import UPPER_QUANTILE, BoolArray, FloatArray, IntArray
 from socket_testbed.calibration import fit
 from socket_testbed.calibration.bench_data import STRESSES, UNNAMED, BenchData, scaled_stress
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
@@ -304,7 +304,7 @@ def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
     """
     count = len(without)
     variance = (count - 1) / count * ((without - full) ** 2).sum(axis=0)
-    return np.asarray(stdtrit(count - 1, 0.975) * np.sqrt(variance))
+    return np.asarray(stdtrit(count - 1, UPPER_QUANTILE) * np.sqrt(variance))
 
 
 _MAX_DROPPED = 0.05  # [-]; beyond this they are not outliers but a different law

@@ -25,12 +25,12 @@ from socket_testbed.settings.options import (
     TISSUE,
     CalibrationOptions,
     ComparisonOptions,
-    EstimatorOptions,
     EvaluationOptions,
     ExportOptions,
     FitOptions,
     FrontOptions,
     ImportOptions,
+    LiveFitOptions,
     MapOptions,
     MetadataOptions,
     OpenOptions,
@@ -323,7 +323,7 @@ class Doctor(
 class Run(
     Call,
     ConfigurationOptions,
-    EstimatorOptions,
+    LiveFitOptions,
     MetadataOptions,
     SimulatedOptions,
     module="live",
@@ -628,7 +628,7 @@ class Validate(
 class Replay(
     Call,
     TrialFiles,
-    EstimatorOptions,
+    LiveFitOptions,
     module="live",
     summary="publish a trial with /clock; --estimate runs the estimator on it",
     example="trials/s01 --estimate",
@@ -683,7 +683,6 @@ class Map(
         "table of force, pressure and shear on every tile with standard deviations"
     )
     figure: Path | None = option(None, "draw the mean pressure and its uncertainty")
-    json: bool = internal(False, "not used: its table is long")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import NORMAL_QUANTILE, FloatArray
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
 from socket_testbed.commands.terminal import Progress, decimals, table
@@ -23,7 +23,7 @@ from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions, place_of
 from socket_testbed.identification import validation
-from socket_testbed.identification.force_map import NORMAL_QUANTILE, left_out_pressures
+from socket_testbed.identification.force_map import left_out_pressures
 from socket_testbed.identification.wrench import REGRESSION
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph

@@ -16,7 +16,7 @@ from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
-from socket_testbed.commands.options import check_files, draw, name_and_value, print_note
+from socket_testbed.commands.running import check_files, draw, name_and_value, print_note
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest

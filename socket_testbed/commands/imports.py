@@ -5,7 +5,7 @@ from __future__ import annotations
 from socket_testbed import api
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
-from socket_testbed.commands.options import print_note
+from socket_testbed.commands.running import print_note
 from socket_testbed.settings.options import ImportOptions, given
 
 

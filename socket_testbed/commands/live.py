@@ -15,7 +15,7 @@ from typing import Any, Literal
 from socket_testbed import clocks
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import ConfigurationOptions, SimulatedOptions, takes
-from socket_testbed.commands.options import (
+from socket_testbed.commands.running import (
     check_metadata,
     left_out,
     name_and_value,
@@ -44,7 +44,7 @@ from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.live.sources import absent_topics, check_sources, foreign_topics
 from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.options import (
-    EstimationOptions,
+    SettingsOptions,
     TrialFiles,
     given,
 )
@@ -408,7 +408,7 @@ def replay(call: calls.Replay) -> None:
         trial=str(call.trial.resolve()), rate=call.rate, loop=call.loop, paused=call.paused
     )
     if call.estimate:
-        estimator = opened.settings_for(EstimationOptions(**given(call, EstimationOptions)))
+        estimator = opened.settings_for(SettingsOptions(**given(call, SettingsOptions)))
         estimator = bringup.predict_with(call.model, estimator, opened.geometry_path)
         nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:

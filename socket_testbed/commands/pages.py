@@ -20,7 +20,8 @@ from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
-from socket_testbed.commands.options import (
+from socket_testbed.commands.results import error_columns
+from socket_testbed.commands.running import (
     TrialVerb,
     check_files,
     deliver,
@@ -34,7 +35,6 @@ from socket_testbed.commands.options import (
     segment_columns,
     typed_command,
 )
-from socket_testbed.commands.results import error_columns
 from socket_testbed.commands.terminal import Progress, say, text_of
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PAGES

@@ -15,7 +15,7 @@ from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
 from socket_testbed.batch import Row
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
-from socket_testbed.commands.options import (
+from socket_testbed.commands.running import (
     TrialVerb,
     check_files,
     deliver,
@@ -32,7 +32,11 @@ from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import PAGES, PICTURES, TABLES
 from socket_testbed.geometry.regions import main_regions
-from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe, summarise_errors
+from socket_testbed.identification.channel_errors import (
+    ChannelErrors,
+    errors_to_dataframe,
+    summarise_errors,
+)
 from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
 from socket_testbed.identification.pareto import Front

@@ -9,7 +9,7 @@ from pathlib import Path
 from socket_testbed import api
 from socket_testbed.commands import calls
 from socket_testbed.commands.calls import takes
-from socket_testbed.commands.options import (
+from socket_testbed.commands.running import (
     check_metadata,
     open_checked,
     open_given,

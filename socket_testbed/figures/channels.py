@@ -18,7 +18,7 @@ from socket_testbed.figures.style import (
     thin,
     wrap,
 )
-from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.channel_errors import ChannelErrors
 from socket_testbed.samples import Samples
 from socket_testbed.tables import number
 from socket_testbed.trials.segment import Segment

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-NAMED_SEGMENTS = ("plateau", "hold")
 _LABEL = "pressure [kPa]"
 _MAX_POINTS = 300  # per line
 _BAND_OPACITY = 0.18  # [-]
@@ -69,19 +68,21 @@ def force_map_figure(
     )
 
 
-def tile_pressures(outputs: PressureOutputs, kind: str, peak_time: float) -> dict[str, Quantity]:
+def tile_pressures(
+    outputs: PressureOutputs, segment: Segment, peak_time: float
+) -> dict[str, Quantity]:
     """Mean and peak pressures of the tiles over a segment, (n,) [kPa], by title.
 
     Args:
         outputs: The outputs over the segment.
-        kind: Kind of the segment, such as `hold`.
+        segment: The segment.
         peak_time: Time of the peak since the first sample of the trial [s].
     """
     at_peak = outputs.peak_map
     deviation = 1e-3 * at_peak.normal_pressure_standard_deviation[0]
     mean = outputs.tiles.mean.part(..., 1e-3)
     return {
-        f"mean over the {kind if kind in NAMED_SEGMENTS else 'segment'}": mean,
+        f"mean over the {segment.noun}": mean,
         f"at the peak, {peak_time:.2f} s": normal_quantity(
             1e-3 * at_peak.normal_pressure[0], deviation
         ),
@@ -107,7 +108,7 @@ def pressure_figure(
         style: Print layout.
     """
     time = np.asarray(trial.samples().time[segment.rows])
-    maps = tile_pressures(outputs, segment.kind, float(time[outputs.peak_row]))
+    maps = tile_pressures(outputs, segment, float(time[outputs.peak_row]))
     reach = {name: quantity.reach for name, quantity in maps.items()}
     regions = {place.name: places.index(place) for place in main_regions(places)}
     mean = outputs.mean_pressure

@@ -252,13 +252,9 @@ def _points_per_unit(axis: Axes) -> FloatArray:
     return np.array([per_x, per_x * aspect])
 
 
-def _scales_of(
-    values: Mapping[str, FloatArray], from_zero: bool = False
-) -> list[tuple[float, float]]:
+def _scales_of(values: Mapping[str, FloatArray]) -> list[tuple[float, float]]:
     """Colour-scale limits of every map; maps with similar ranges share them."""
     ranges = np.array([value_range(row) for row in values.values()])
-    if from_zero:
-        ranges[:, 0] = np.minimum(ranges[:, 0], 0.0)
     spans = np.ptp(ranges, axis=1)
     left = np.ones(len(ranges), dtype=bool)
     while left.any():
@@ -398,7 +394,6 @@ def tile_map_figure(
     style: FigureStyle = DEFAULT_STYLE,
     *,
     limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
-    from_zero: bool = False,
     below: tuple[float, Callable[[SubFigure], None]] | None = None,
     side: Side | None = None,
     reach: Mapping[str, FloatArray] | None = None,
@@ -414,14 +409,13 @@ def tile_map_figure(
         title: Title of the figure.
         style: Print layout.
         limits: Limits of the scale, for all maps or by name; by default maps with similar ranges
-            share a scale, which includes zero if `from_zero`.
-        from_zero: See `limits`.
+            share a scale.
         below: Height [mm] of a further part below the maps, and the function that draws it.
         side: The leg that wears the socket, if known.
         reach: Half-widths of 95 % intervals by map name, shape (n,) [kPa]: see `paint_tiles`.
     """
     if limits is None:
-        scales = _scales_of(values, from_zero)
+        scales = _scales_of(values)
     else:
         scales = [limits[n] if isinstance(limits, Mapping) else limits for n in values]
     columns = 1 if style.is_narrow else min(2, len(values))

@@ -2,12 +2,14 @@
 
 **How does the limb's motion cause forces?** The contact model. `contact` defines the laws and the
 models built on them. `problem` selects and weighs the channels of a fit and turns them into
-programs for any law; `solver` solves and certifies these. `fit` runs both stages and computes a
-model's errors; `pareto` runs them over the trade-off, `paper` compares both with the published
-figures. `model_file` reads and writes models.
+programs for any law; `solver` solves and certifies these. `fit` runs both stages; `wrench` predicts
+the wrench from the pose by regression, where that serves better than the springs.
+`channel_errors` compares any model with what was measured. `pareto` runs fits over the trade-off,
+`paper` compares both with the published figures. `model_file` reads and writes models.
 
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
-it from the clusters and the wrench; `pressure` evaluates regions of it.
+it from the clusters and the wrench: `map_prior` says what is assumed before any measurement,
+`map_posterior` what the measured channels make of it. `pressure` evaluates regions of it.
 
 **How far can all this be trusted?** Whether a value is believable has one home, `checked`, the
 gate that judges samples once for everything else. It has three rule books:
@@ -17,9 +19,10 @@ gate that judges samples once for everything else. It has three rule books:
 - `data_check`: whole sources against each other and over time. It brings into order what other
   modules find, where every rule is one function: `unit_check` (units and frames, from sizes);
   `course_check` (reversed, late, exchanged, drifting) in the `courses` of load, clusters and limb,
-  compared by `correlation`; `channel_check` (missing, frozen, clipped, noisy); `sudden_changes`
-  (spikes, steps, jumps); and `trials.raw_check`, which judges readings that no longer show in
-  samples: raw capacitances, ratios of bridges, markers. Each reports defects as in `data_finding`.
+  compared by `correlation`, and axis by axis in `limb_motion`; `channel_check` (missing, frozen,
+  clipped, noisy); `sudden_changes` (spikes, steps, jumps); and `trials.raw_check`, which judges
+  readings that no longer show in samples: raw capacitances, ratios of bridges, markers. Each
+  reports defects as in `data_finding`.
 - `noise`: how large the noise of a channel and the error of a measurement are. It refuses nothing.
 
 Whether a model is believable is another question: `information` shows what the trial's motion

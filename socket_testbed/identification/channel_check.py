@@ -13,7 +13,7 @@ from itertools import chain, compress
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, gaps, usual_period
-from socket_testbed.identification.data_finding import LEAST_CHECKED, STILL, DataFinding
+from socket_testbed.identification.data_finding import LEAST_CHECKED, DataFinding
 from socket_testbed.identification.noise import ChannelNoise
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, channel_unit
 
@@ -160,8 +160,8 @@ def _still_channel(channel: _Channel) -> DataFinding | None:
     still = channel.period * _longest_run(channel.known)
     if still <= still_limit(channel.period):
         return None
-    fact = f"it does {STILL} {still:.1f} s"
-    return DataFinding(channel.name, fact, "check the sensor and its driver")
+    fact = f"it does not change for {still:.1f} s"
+    return DataFinding(channel.name, fact, "check the sensor and its driver", "still")
 
 
 def _clipped_channel(channel: _Channel) -> DataFinding | None:

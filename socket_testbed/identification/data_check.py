@@ -19,23 +19,14 @@ from itertools import chain
 
 import numpy as np
 
-from socket_testbed.arrays import evenly
+from socket_testbed.arrays import NORMAL_QUANTILE, evenly
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.channel_check import check_channels
 from socket_testbed.identification.course_check import check_courses, find_drifts
 from socket_testbed.identification.courses import MIN_COMPARED_LOAD
-from socket_testbed.identification.data_finding import (
-    LEAST_CHECKED,
-    STILL,
-    WRITE_QUATERNIONS,
-    DataFinding,
-)
-from socket_testbed.identification.force_map import (
-    NORMAL_QUANTILE,
-    ForceMap,
-    left_out_pressures,
-)
+from socket_testbed.identification.data_finding import LEAST_CHECKED, DataFinding
+from socket_testbed.identification.force_map import ForceMap, left_out_pressures
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, measurement_errors
 from socket_testbed.identification.sudden_changes import find_jumps, find_spikes, find_steps
 from socket_testbed.identification.unit_check import LOAD, POSE, check_units
@@ -46,7 +37,6 @@ from socket_testbed.settings.identification import ForceMapSettings
 INNOVATIONS = (-1.9, 3.5)
 LOCAL_VARIATION = 4e3  # [Pa]; of pressure under a single tile, beyond what the map's prior knows
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
-CAPACITY = "of its full scale"  # words of a finding
 
 
 def check_data(
@@ -129,16 +119,16 @@ def _not_stopped(
     found: Iterable[DataFinding], raw: tuple[DataFinding, ...]
 ) -> Iterator[DataFinding]:
     """The findings, without channels that stand still because a reading of their source does."""
-    stopped = {each.source for each in raw if STILL in each.fact}
+    stopped = {each.source for each in raw if each.kind == "still"}
     for finding in found:
-        if STILL not in finding.fact or finding.source.rpartition(".")[0] not in stopped:
+        if finding.kind != "still" or finding.source.rpartition(".")[0] not in stopped:
             yield finding
 
 
 def _without_faulty_pose(samples: Samples, raw: tuple[DataFinding, ...]) -> Samples:
     """The samples, without poses that jump, stand still or are turned: these judge nothing."""
     of_pose = [each for each in raw if each.source == "the limb pose"]
-    faulty = any(STILL in each.fact or each.hint.startswith(WRITE_QUATERNIONS) for each in of_pose)
+    faulty = any(each.kind in ("still", "quaternions") for each in of_pose)
     if not faulty and not any(find_jumps(samples)):
         return samples
     return _without_pose(samples)
@@ -160,7 +150,7 @@ def _known(
     for finding in raw:
         of_cell = finding.source in ("the wrench", "the load cell")
         own = {*(WRENCH_CHANNELS if of_cell else local_channels(finding.source))}
-        by_unit = CAPACITY in finding.fact and own & {*unclear}
+        by_unit = finding.kind == "capacity" and own & {*unclear}
         if not own <= {*leave_out} and not by_unit:
             yield finding
 

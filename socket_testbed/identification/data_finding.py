@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 GOOD, CHECK = "data: good", "data: check "
 LEAST_CHECKED = 30
-STILL = "not change for"  # words of a finding
-WRITE_QUATERNIONS = "give quaternions as"  # start of the hint of a finding
+Kind: TypeAlias = Literal["still", "quaternions", "capacity", ""]
 
 
 @dataclass(frozen=True)
@@ -19,11 +19,15 @@ class DataFinding:
             a channel.
         fact: The defect in words, with its numbers and their units.
         hint: What to check.
+        kind: Of a defect that explains others: `still`, a reading that does not change;
+            `quaternions` in another order; `capacity`, a load above the load cell's. Empty for any
+            other.
     """
 
     source: str
     fact: str
     hint: str
+    kind: Kind = ""
 
     def __str__(self) -> str:
         return f"{CHECK}{self.source}: {self.fact}; {self.hint}"

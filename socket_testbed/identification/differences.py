@@ -34,8 +34,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.special import nctdtrinc, ndtri, stdtrit
 
-from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.arrays import NORMAL_QUANTILE, UPPER_QUANTILE, FloatArray, IntArray
 
 T = TypeVar("T")
 
@@ -120,7 +119,7 @@ class Conditions:
             spread = np.sqrt(np.nansum(squares, axis=0) / freedom)
             share = 1.0 / np.bincount(self.numbers)[:, None]
             error = spread * np.sqrt(share + share[0])
-            quantile = stdtrit(freedom, 0.975)
+            quantile = stdtrit(freedom, UPPER_QUANTILE)
             noncentrality = nctdtrinc(freedom, 1.0 - POWER, quantile)
             normal = 1.0 + ndtri(POWER) / NORMAL_QUANTILE
             reach = quantile * spread * np.sqrt(share)

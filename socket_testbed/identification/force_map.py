@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from scipy.special import chdtri, expit, i0e, i1e, logsumexp
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
+from socket_testbed.arrays import NORMAL_QUANTILE, BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.map_posterior import (
     AMPLITUDE_FREEDOM,
@@ -39,7 +39,6 @@ from socket_testbed.settings.identification import ForceMapSettings
 if TYPE_CHECKING:
     import pandas as pd
 
-NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _EVIDENCE_MEMORY = 1000  # live samples over which the evidence is averaged
 _MAX_SAMPLES = 500  # samples of a trial, evenly spread
 _BLOCK = 1024  # samples of a mean

@@ -16,14 +16,9 @@ from socket_testbed import documents
 from socket_testbed.errors import ConfigurationError, closest, naming
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
+from socket_testbed.identification.channel_errors import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.contact import ContactModel, law_of
-from socket_testbed.identification.fit import (
-    QUOTED,
-    ChannelErrors,
-    Fit,
-    FittedModel,
-    summarise_errors,
-)
+from socket_testbed.identification.fit import Fit, FittedModel
 from socket_testbed.identification.wrench import (
     FEATURES,
     MAX_SUPPORT,

@@ -12,7 +12,7 @@ import pandas as pd
 
 from socket_testbed.arrays import usual_period
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
+from socket_testbed.identification.channel_errors import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, force_magnitude
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant

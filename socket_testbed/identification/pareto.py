@@ -30,7 +30,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly, finite_mean
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.fit import QUOTED
+from socket_testbed.identification.channel_errors import QUOTED
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import (
     BoxQP,

@@ -35,11 +35,11 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import BREAK, BoolArray, FloatArray, IntArray, gaps
+from socket_testbed.arrays import BREAK, NORMAL_QUANTILE, BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.regions import Region, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap, MapEstimate
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 from socket_testbed.settings.options import PressureOptions
 from socket_testbed.tables import split_unit

@@ -137,20 +137,19 @@ class Objective:
         return replace(self, samples=samples, wrench=wrench, channels=channels)
 
 
-def check_parts(samples: Samples, who: str, pose: bool = False, wrench: bool = False) -> None:
-    """Check that a trial, or a part of one, was recorded with what a task needs.
+def check_parts(samples: Samples, who: str, wrench: bool = False) -> None:
+    """Check that a trial, or a part of one, has limb positions, and the wrench if a task needs it.
 
     Args:
         samples: The samples of the trial or part.
         who: The task in a sentence, such as `a fit`.
-        pose: Whether it needs limb positions.
         wrench: Whether it needs the wrench.
 
     Raises:
-        IdentificationError: If none of the samples has it.
+        IdentificationError: If none of the samples has one of these.
     """
     parts = {
-        "limb position": (pose and not samples.has_pose.any(), "the poses of socket and pylon"),
+        "limb position": (not samples.has_pose.any(), "the poses of socket and pylon"),
         "wrench": (wrench and not np.isfinite(samples.wrench).any(), "the load cell"),
     }
     lacking = {name: source for name, (is_lacking, source) in parts.items() if is_lacking}
@@ -167,7 +166,7 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
 
     `wrench_counts` marks these channels, shape (6,).
     """
-    check_parts(samples, "a fit", pose=True, wrench=bool(wrench_counts.any()))
+    check_parts(samples, "a fit", wrench=bool(wrench_counts.any()))
     measured = np.isfinite(samples.wrench)
     dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
     for channel in np.flatnonzero(dead).tolist():

@@ -47,7 +47,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
+from socket_testbed.arrays import UPPER_QUANTILE, BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.map_posterior import (
@@ -71,7 +71,6 @@ MODEL_ERROR = 0.15
 _WRENCH = len(WRENCH_CHANNELS)
 _RIDGE = 1e-3  # [-]; variance of the wrench that donning may change, relative to the prior's
 _MAX_PLANNED = 12  # likeliest ones, for which places are compared
-_QUANTILE = 0.975  # of the upper end of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -106,18 +105,15 @@ class Field:
     deviations: FloatArray
 
 
-def match_loads(
-    wrenches: Sequence[FloatArray], arm: float, count: int = MAX_STATES
-) -> tuple[IntArray, FloatArray]:
+def match_loads(wrenches: Sequence[FloatArray], arm: float) -> tuple[IntArray, FloatArray]:
     """Samples of several trials with like loads.
 
-    States are spread evenly over the first trial; each other trial contributes the sample with the
-    nearest wrench. States whose load is not found in every trial are left out.
+    At most `MAX_STATES` are spread evenly over the first trial; each other trial contributes the
+    sample with the nearest wrench. States whose load is not found in every trial are left out.
 
     Args:
         wrenches: Wrenches [M; F] of each of J trials, shape (N_j, 6) [N m, N], without NaN.
         arm: Lever arm that turns moments into forces [m].
-        count: Number of states at most.
 
     Returns:
         The rows of each trial, shape (J, S), and the largest mismatch of each state, relative to
@@ -127,7 +123,7 @@ def match_loads(
         IdentificationError: No load is found in every trial.
     """
     scaled = [np.hstack([each[:, MOMENTS] / arm, each[:, FORCES]]) for each in wrenches]
-    chosen = evenly(len(scaled[0]), count)
+    chosen = evenly(len(scaled[0]), MAX_STATES)
     targets = scaled[0][chosen]
     sizes = np.linalg.norm(targets[:, 3:], axis=1)
     rows, apart = [], []
@@ -712,7 +708,7 @@ def _interval(value: float, error: float, freedom: int) -> Interval:
     """A value whose logarithm has a standard error and Student's t distribution."""
     if freedom < 1:
         return Interval(value, float("nan"), float("nan"))
-    reach = float(np.exp(min(error * stdtrit(freedom, _QUANTILE), 50.0)))
+    reach = float(np.exp(min(error * stdtrit(freedom, UPPER_QUANTILE), 50.0)))
     return Interval(value, value / reach, value * reach)
 
 

@@ -25,6 +25,12 @@ from socket_testbed.arrays import FloatArray, IntArray, evenly, finite_mean, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import fit
+from socket_testbed.identification.channel_errors import (
+    ChannelErrors,
+    deviation,
+    evaluate,
+    skill_of,
+)
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import (
@@ -216,13 +222,13 @@ def judge_wrench(
         fitted_on: Name of the trial of the fit.
         tested_on: Name of the trial of the samples.
     """
-    constant = np.array([fit.deviation(channel) for channel in measured.T])
+    constant = np.array([deviation(channel) for channel in measured.T])
     for name, wrench in predicted.items():
         rmse = np.sqrt(np.mean((wrench - measured) ** 2, axis=0))
         figures: dict[str, Any] = {"samples": len(measured)}
         for kind, part in (("moment", MOMENTS), ("force", FORCES)):
             error = finite_mean(rmse[part])
-            skill = fit.skill_of(error, finite_mean(constant[part]))
+            skill = skill_of(error, finite_mean(constant[part]))
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
         yield Judgement("wrench", name, test, fitted_on, tested_on, **figures)
 
@@ -395,7 +401,7 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
     Raises:
         IdentificationError: If too few samples are under load to fit and test two halves.
     """
-    check_parts(samples, "a validation", pose=True, wrench=True)
+    check_parts(samples, "a validation", wrench=True)
     loaded = np.flatnonzero(samples.under_load(least_force))
     if len(loaded) < 2 * MIN_SAMPLES:
         raise IdentificationError(
@@ -410,7 +416,7 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
 
 def judge_unseen_half(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
-) -> tuple[fit.ChannelErrors, ...]:
+) -> tuple[ChannelErrors, ...]:
     """Errors of each channel on the second half of the samples, of a model fitted on the first.
 
     Args:
@@ -421,7 +427,7 @@ def judge_unseen_half(
     first, second = split(samples, 0.0)
     model = fit.fit_contact_model(samples[first], geometry, settings).model
     predicted = fit.predictions(samples, model, settings.pose_smoothing)
-    return fit.evaluate(samples[second], predicted[second], settings.leave_out)
+    return evaluate(samples[second], predicted[second], settings.leave_out)
 
 
 def judge_samples(

@@ -38,6 +38,7 @@ CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = 
 
 
 _DEVICES = Path("/dev")
+_FREE_WITHIN = 3.0  # [s]; how long a program that is ending may still hold a bus
 _FREE_INTERVAL = 0.1  # [s]
 
 
@@ -63,17 +64,18 @@ def find_user(settings: TestbedSettings) -> DeviceBusyError | None:
     return None
 
 
-def require_free(settings: TestbedSettings, within: float = 3.0) -> None:
+def require_free(settings: TestbedSettings) -> None:
     """Wait until no other program uses a bus of the testbed's settings.
+
+    A program that is ending may still hold one for some seconds.
 
     Args:
         settings: Settings of the nodes, with their buses.
-        within: How long a program that is ending may still hold one [s].
 
     Raises:
         DeviceBusyError: Another program still uses one then.
     """
-    deadline = clocks.monotonic() + within
+    deadline = clocks.monotonic() + _FREE_WITHIN
     while (user := find_user(settings)) is not None:
         if clocks.monotonic() >= deadline:
             raise user

@@ -25,6 +25,7 @@ from socket_testbed.trials.bag import RawMessage
 from socket_testbed.wire.cdr import define
 from socket_testbed.wire.topics import full_name
 
+_LISTEN_FOR = 4.0  # [s]
 _LISTEN_PERIOD = 0.05  # [s]
 _DEPTH = 2000  # [messages]; of a busy moment
 _MAX_AGE = 10.0  # [s]; of a message that waited to be taken
@@ -180,7 +181,6 @@ def hear_sources(
     trigger: str,
     clusters: Sequence[str],
     namespace: str = "/",
-    within: float = 4.0,
 ) -> list[HeardSource]:
     """Listen to the sources of other drivers, and to their triggers, for a while.
 
@@ -189,7 +189,6 @@ def hear_sources(
         trigger: Topic whose messages are the triggers; empty for triggers of our own.
         clusters: Names of the testbed's clusters.
         namespace: Absolute namespace of the testbed.
-        within: How long to listen [s].
 
     Raises:
         ConfigurationError: If a topic is one that the testbed publishes.
@@ -210,7 +209,7 @@ def hear_sources(
             if own.is_foreign:
                 listening.append(foreign_topic(node, name, own.topic, namespace))
                 heard.append(HeardSource(StreamedSource(name, own, clusters)))
-        ends = time.monotonic() + within
+        ends = time.monotonic() + _LISTEN_FOR
         while time.monotonic() < ends:
             for topic, found in zip(listening, heard, strict=True):
                 found.wrong, found.type = topic.look(), topic.type

@@ -13,8 +13,8 @@ from socket_testbed.figures.channels import FORCES_FIRST, wrench_figure
 from socket_testbed.figures.engagement import engagement_figure
 from socket_testbed.figures.style import THINNED
 from socket_testbed.figures.tiles import tile_map_figure
+from socket_testbed.identification.channel_errors import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed.figures.pressure import NAMED_SEGMENTS, pressure_figure, tile_pressures
+from socket_testbed.figures.pressure import pressure_figure, tile_pressures
 from socket_testbed.identification.pressure import (
     SHARE,
     with_interval,
@@ -68,8 +68,8 @@ def page_data(results: Results) -> dict[str, Any]:
 
 def _span(found: TrialPressure) -> str:
     """The segment in words, such as `in the hold`."""
-    kind = found.segment.kind
-    return _SPANS.get(kind, f"in the {kind if kind in NAMED_SEGMENTS else 'segment'}")
+    segment = found.segment
+    return _SPANS.get(segment.kind, f"in the {segment.noun}")
 
 
 def _highest(found: TrialPressure, course: TrialCourse) -> str:
@@ -116,7 +116,7 @@ def section(results: Results) -> Section:
 def _overview(results: Results) -> ReportFigure:
     """Unrolled pressure over the segment and at its peak, and regional pressure over time."""
     found = results.pressure
-    maps = tile_pressures(found.outputs, found.segment.kind, found.peak_time)
+    maps = tile_pressures(found.outputs, found.segment, found.peak_time)
     values = {f"{name} [kPa]": quantity.value for name, quantity in maps.items()}
     return ReportFigure(
         "pressure_map",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.arrays import NORMAL_QUANTILE
 from socket_testbed.pages.document import moment, socket_document
 from socket_testbed.report.page import Maps, Section, origin_table, write_page
 from socket_testbed.results.survey import LEGEND, Survey

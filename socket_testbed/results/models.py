@@ -18,15 +18,13 @@ from socket_testbed.figures.style import FigureStyle
 from socket_testbed.figures.tiles import tile_map_figure
 from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information
-from socket_testbed.identification.fit import (
+from socket_testbed.identification.channel_errors import (
     ChannelErrors,
-    Fit,
-    FittedModel,
     errors_to_dataframe,
     evaluate,
-    fit_contact_model,
     summarise_errors,
 )
+from socket_testbed.identification.fit import Fit, FittedModel, fit_contact_model
 from socket_testbed.identification.model_file import quoted_figures, record, write_model
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import check_parts
@@ -348,6 +346,22 @@ def fit_segment(
     return TrialFit(trial, segment, named)
 
 
+def predictions(trial: Trial, stored: FittedModel) -> FloatArray:
+    """Predictions of all channels at all samples of a trial.
+
+    Args:
+        trial: The trial, whose limb poses the model is given.
+        stored: The model.
+
+    Returns:
+        The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
+        of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
+    """
+    samples = trial.checked(stored.settings.leave_out).posed()
+    with threadpool_limits(1):
+        return stored.predictions(samples)
+
+
 def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     """Errors of a model on a segment of a trial.
 
@@ -364,7 +378,7 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     checked = trial.checked(leave_out)
     every, rows = checked.samples, segment.rows
     samples = checked.posed(rows)
-    check_parts(samples, "a prediction", pose=True)
+    check_parts(samples, "a prediction")
     with threadpool_limits(1):
         predicted = model.predictions(samples, every[: rows.start])
         over_trial = model.predictions(every)

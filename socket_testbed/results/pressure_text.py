@@ -39,16 +39,15 @@ def number(title: str, value: float, sign: str = "-", least: int = 0) -> str:
     return f"{value:{sign}z.{max(least, pressure.decimals_of(title))}f}"
 
 
-def interval(title: str, low: float, high: float, least: int = 0) -> str:
+def interval(title: str, low: float, high: float) -> str:
     """The 95 % interval of an output, such as `31.2 to 40.8`.
 
     Args:
         title: Its title, such as `peak pressure [kPa]`.
         low: Lower end, in the unit of the title.
         high: Upper end, in the unit of the title.
-        least: Decimals to show at least.
     """
-    return f"{number(title, low, least=least)} to {number(title, high, least=least)}"
+    return f"{number(title, low)} to {number(title, high)}"
 
 
 def cells(

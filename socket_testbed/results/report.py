@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from socket_testbed.arrays import BoolArray, FloatArray, gaps
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import information
+from socket_testbed.identification.channel_errors import summarise_errors
 from socket_testbed.identification.checked import CheckedSamples
-from socket_testbed.identification.fit import FittedModel, summarise_errors
+from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.survey_prior import SurveyPrior
 from socket_testbed.results.data_quality import DataQuality, data_quality

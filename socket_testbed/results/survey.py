@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed.arrays import FloatArray, rms
+from socket_testbed.arrays import NORMAL_QUANTILE, FloatArray, rms
 from socket_testbed.documents import finite_or_null
 from socket_testbed.figures.style import FigureStyle
 from socket_testbed.figures.tiles import pressure_limits, tile_map_figure
 from socket_testbed.geometry.regions import DISTAL_END, anatomical_regions, place_of
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import survey as numerics
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.survey import Field, Interval, JudgedPoint, Judgements
 from socket_testbed.identification.survey_prior import FORMAT, SurveyPrior
 from socket_testbed.identification.validation import LEVELS

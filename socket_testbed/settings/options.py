@@ -263,7 +263,7 @@ class ThetaOptions(SolutionOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimatorOptions(ThetaOptions):
+class LiveFitOptions(ThetaOptions):
     """Settings of a fit that the estimator node has, too."""
 
     variant: Variant | str | None = setting_of_fit("variant")
@@ -295,14 +295,14 @@ class PartOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimationOptions(EstimatorOptions, OfflineOptions):
+class SettingsOptions(LiveFitOptions, OfflineOptions):
     """What a call changes in the settings of a trial, see `Trial.settings_for`."""
 
     params: Path | None = option(None, OWN_PARAMS)
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitOptions(PartOptions, EstimationOptions):
+class FitOptions(PartOptions, SettingsOptions):
     """Options of `st.fit`."""
 
 

@@ -31,12 +31,7 @@ from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.channel_check import MAX_MISSING, still_limit
-from socket_testbed.identification.data_finding import (
-    LEAST_CHECKED,
-    STILL,
-    WRITE_QUATERNIONS,
-    DataFinding,
-)
+from socket_testbed.identification.data_finding import LEAST_CHECKED, DataFinding
 from socket_testbed.identification.noise import deviations
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.bag import BagReader, required_topics
@@ -208,7 +203,8 @@ def check_orientations(bag: BagReader, geometry: SocketGeometry) -> Iterator[Dat
             yield DataFinding(
                 "the limb pose",
                 f"the {body} turns as its markers do if its quaternions are {how}",
-                f"{WRITE_QUATERNIONS} (x, y, z, w), of the body in the world",
+                "give quaternions as (x, y, z, w), of the body in the world",
+                "quaternions",
             )
 
 
@@ -274,7 +270,7 @@ def _overload(measured: Measurements, cell: LoadCellSettings) -> Iterator[DataFi
     if level == ERROR:
         fact, _ = fact_and_hint(text)
         hint = "check the cell's calibration after an overload, and full_scale in testbed.yaml"
-        yield DataFinding("the load cell", fact, hint)
+        yield DataFinding("the load cell", fact, hint, "capacity")
 
 
 def _stopped_clusters(measured: Measurements) -> Iterator[DataFinding]:
@@ -290,8 +286,9 @@ def _stopped_clusters(measured: Measurements) -> Iterator[DataFinding]:
         span = min(stopped[channel] for channel in dead)
         yield DataFinding(
             name,
-            f"its {inputs} {does} {STILL} {span:.1f} s",
+            f"its {inputs} {does} not change for {span:.1f} s",
             "check the plug and the wires of the input: its stress is wrong without it",
+            "still",
         )
 
 
@@ -350,8 +347,9 @@ def _stopped_bridges(measured: Measurements) -> Iterator[DataFinding]:
         if span := _still_for(measured, ratios[:, None]):
             yield DataFinding(
                 "the load cell",
-                f"the ratio of bridge {bridge} does {STILL} {span:.1f} s",
+                f"the ratio of bridge {bridge} does not change for {span:.1f} s",
                 "check the bridge and its wiring: every axis of the wrench needs it",
+                "still",
             )
 
 
@@ -381,8 +379,9 @@ def _stopped_bodies(measured: Measurements) -> Iterator[DataFinding]:
         if span := max(spans):
             yield DataFinding(
                 "the limb pose",
-                f"the pose of the {body} does {STILL} {span:.1f} s",
+                f"the pose of the {body} does not change for {span:.1f} s",
                 f"check the cameras' view of the {body}'s markers, and the body's name",
+                "still",
             )
 
 

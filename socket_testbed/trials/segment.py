@@ -55,6 +55,11 @@ class Segment:
     def __repr__(self) -> str:
         return f"Segment({self})"
 
+    @property
+    def noun(self) -> str:
+        """What it is called in a sentence: `plateau`, `hold`, or `segment` for any other kind."""
+        return self.kind if self.kind in ("plateau", "hold") else "segment"
+
 
 def select_segment(
     samples: Samples,

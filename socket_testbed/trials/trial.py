@@ -26,7 +26,7 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, named_channels
-from socket_testbed.settings.options import RECORDED, EstimationOptions
+from socket_testbed.settings.options import RECORDED, SettingsOptions
 from socket_testbed.settings.testbed import (
     EstimatorSettings,
     TestbedSettings,
@@ -572,7 +572,7 @@ class Trial:
         """
         return self._with_channels(self._parameters.estimator_node)
 
-    def settings_for(self, options: EstimationOptions) -> EstimatorSettings:
+    def settings_for(self, options: SettingsOptions) -> EstimatorSettings:
         """The settings of the trial, or those of `options.params`, with what the options override.
 
         Args:

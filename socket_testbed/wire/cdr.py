@@ -172,14 +172,9 @@ class Field(NamedTuple):
     number: int | None = None
 
 
-def fields_of(message_type: str, definition: str = "") -> tuple[Field, ...]:
-    """The fields of a message type.
-
-    Args:
-        message_type: The type, as `package/msg/Type`.
-        definition: Its definition, see `types_of`.
-    """
-    return _fields(message_type, types_of(message_type, definition))
+def fields_of(message_type: str) -> tuple[Field, ...]:
+    """The fields of a message type, given as `package/msg/Type`."""
+    return _fields(message_type, types_of(message_type))
 
 
 @cache

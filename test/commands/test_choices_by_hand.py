@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from socket_testbed import api
-from socket_testbed.commands import live, options, pages, results, terminal, trials
+from socket_testbed.commands import live, pages, results, running, terminal, trials
 from socket_testbed.commands.arguments import Parser, _help, add_options, release_paths
 from socket_testbed.commands.calls import CALLS, ConfigurationOptions, Fit
 from socket_testbed.commands.terminal import StatusLine
@@ -39,7 +39,7 @@ class Reported:
 
 
 def reported(trial: Any, good: bool = True, leave_out: Any = None) -> str:
-    return options.report_data(trial, good, leave_out)
+    return running.report_data(trial, good, leave_out)
 
 
 def test_the_first_finding_stands_for_all() -> None:
@@ -68,9 +68,9 @@ def test_notes_of_several_trials_name_them_once(
 ) -> None:
     below = {"s01/a": tmp_path / "a", "s01/b": tmp_path / "b"}
     monkeypatch.setattr(
-        options, "find_trials", lambda path, note: below if path.name == "s01" else {}
+        running, "find_trials", lambda path, note: below if path.name == "s01" else {}
     )
-    found = options.open_all([tmp_path / "c", tmp_path / "s01"], TrialFiles(tare="none"))
+    found = running.open_all([tmp_path / "c", tmp_path / "s01"], TrialFiles(tare="none"))
     assert [trial.name for trial in found] == ["c", "a", "b"]
     assert {trial.tare for trial in found} == {"none"}
     for note in ("late", "a: wet", "late"):
@@ -81,7 +81,7 @@ def test_notes_of_several_trials_name_them_once(
 def test_a_page_has_the_typed_command(monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["/opt/bin/socket-testbed", "report", "my trial", "-o", "a.html"]
     monkeypatch.setattr(sys, "argv", words)
-    assert options.typed_command() == "socket-testbed report 'my trial' -o a.html"
+    assert running.typed_command() == "socket-testbed report 'my trial' -o a.html"
 
 
 # --- compare

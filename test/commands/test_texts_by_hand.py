@@ -12,13 +12,13 @@ import pytest
 from socket_testbed import api
 from socket_testbed.calibration.drift import Drift
 from socket_testbed.calibration.fit import Outlier
-from socket_testbed.commands import demo, design, live, mark, options, pages, results, trials
+from socket_testbed.commands import demo, design, live, mark, pages, results, running, trials
 from socket_testbed.commands.arguments import Parser
 from socket_testbed.commands.calls import Fit, Pressure, SimulatedOptions
 from socket_testbed.commands.terminal import StatusLine
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.channel_errors import ChannelErrors
 from socket_testbed.settings.options import MetadataOptions
 from socket_testbed.trials.metadata import TrialMetadata
 
@@ -145,12 +145,12 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
         "--condition: 'gel' is not NAME=VALUE: write it as gel=trials/gel1,trials/gel2",
     ),
     "segment of any trial": (
-        lambda: options.check_settings(Pressure(Path("nowhere"), segment="plateu")),
+        lambda: running.check_settings(Pressure(Path("nowhere"), segment="plateu")),
         "unknown segment 'plateu': did you mean 'plateau'? give plateau, hold, auto, all, T0:T1 in"
         " seconds, or event:A:B",
     ),
     "ends of any trial": (
-        lambda: options.check_settings(Pressure(Path("nowhere"), segment="event:placed")),
+        lambda: running.check_settings(Pressure(Path("nowhere"), segment="event:placed")),
         "the segment 'event:placed' does not have two ends: give event:A:B, such as"
         " event:placed+5:removed-2 or event:push#2:80",
     ),
@@ -159,11 +159,11 @@ REFUSALS: dict[str, tuple[Callable[[], Any], str]] = {
         "--threshold is -1.0: give a number from 0 to 500",
     ),
     "jobs of a trial": (
-        lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), jobs=2)),
+        lambda: running.on_trials(FOLDER, Pressure(Path("nowhere"), jobs=2)),
         "--jobs is for a folder of trials: leave it out",
     ),
     "repetition of a trial": (
-        lambda: options.on_trials(FOLDER, Pressure(Path("nowhere"), again=True)),
+        lambda: running.on_trials(FOLDER, Pressure(Path("nowhere"), again=True)),
         "--again is for a folder of trials: leave it out",
     ),
 }
@@ -207,9 +207,9 @@ def test_a_wrong_word_has_this_line(
 
 
 def test_a_folder_of_trials_needs_a_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(options, "find_trials", lambda folder, note: {"a": 1, "b": 2, "c": 3})
+    monkeypatch.setattr(running, "find_trials", lambda folder, note: {"a": 1, "b": 2, "c": 3})
     with pytest.raises(ConfigurationError) as found:
-        options.on_trials(FOLDER, Pressure(Path("study"), output=tmp_path, json=True))
+        running.on_trials(FOLDER, Pressure(Path("study"), output=tmp_path, json=True))
     assert str(found.value) == (
         "study holds 3 trials: give -o FOLDER without --json and --figure, or one trial"
     )
@@ -568,9 +568,9 @@ def test_missing_metadata_say_how_to_state_them() -> None:
 
 
 def test_wrong_metadata_name_their_option() -> None:
-    wrong = dict.fromkeys(options.FIELDS) | {"mass": -1.0}
+    wrong = dict.fromkeys(running.FIELDS) | {"mass": -1.0}
     with pytest.raises(TestbedError) as found:
-        options.check_metadata(MetadataOptions(**wrong))
+        running.check_metadata(MetadataOptions(**wrong))
     assert str(found.value).startswith("--mass is -1.0: give a number")
 
 

@@ -20,7 +20,7 @@ import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.__main__ import run
 from socket_testbed.errors import IdentificationError
-from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.channel_errors import ChannelErrors
 from socket_testbed.identification.information import LoadShare
 
 NAMES = ("s01/scene", "s02/walk")

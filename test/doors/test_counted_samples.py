@@ -16,7 +16,7 @@ import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.commands import results
 from socket_testbed.errors import IdentificationError
-from socket_testbed.identification.fit import evaluate
+from socket_testbed.identification.channel_errors import evaluate
 from socket_testbed.results import tradeoff
 from socket_testbed.samples import Samples
 from socket_testbed.trials.segment import Segment

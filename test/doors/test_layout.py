@@ -207,7 +207,6 @@ def test_similar_ranges_share_a_scale() -> None:
     rows = {"a": [0.0, 10.0], "b": [2.0, 7.0], "c": [1.0, 5.9], "d": [3.0, 6.0]}
     found = tiles._scales_of({name: np.array(row) for name, row in rows.items()})
     assert found == [(0.0, 10.0), (0.0, 10.0), (1.0, 6.0), (1.0, 6.0)]
-    assert tiles._scales_of({"b": np.array([2.0, 7.0])}, from_zero=True) == [(0.0, 7.0)]
 
 
 def test_an_uncertain_map_is_grey() -> None:

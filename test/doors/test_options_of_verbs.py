@@ -129,7 +129,7 @@ def checked(stage: Stage) -> None:
         stage.seen["outputs"] = [str(path) for path in paths if path is not None]
         stage.seen["replaced"] = replace
 
-    for module in ("options", "trials", "design"):
+    for module in ("running", "trials", "design"):
         stage.replace(f"commands.{module}.check_outputs", outputs)
 
 
@@ -613,7 +613,7 @@ IN_BATCH: dict[tuple[str, str], dict[str, Any]] = {
 def batched(stage: Stage) -> None:
     """Do the jobs of a folder of trials at once, and keep how."""
     trials = {"scene": Path("scene"), "s02/second": Path("second")}
-    stage.replace("commands.options.find_trials", lambda path, note: trials)
+    stage.replace("commands.running.find_trials", lambda path, note: trials)
 
     def done(task: Any, jobs: Any, report: Any, say: Any, processes: Any, dask: Any) -> None:
         stage.seen |= {"jobs": processes, "dask": dask, "again": task.again}
@@ -622,7 +622,7 @@ def batched(stage: Stage) -> None:
         stage.seen["written"] = [plain(job.output) for job in jobs]
         task.work(jobs[-1])
 
-    stage.replace("commands.options.run_batch", done)
+    stage.replace("commands.running.run_batch", done)
 
 
 @pytest.mark.parametrize(

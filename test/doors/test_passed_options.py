@@ -17,11 +17,11 @@ from support.verbs import call
 import socket_testbed as st
 from socket_testbed import api
 from socket_testbed.calibration.fit import Outlier
-from socket_testbed.commands import design, options, results
+from socket_testbed.commands import design, results, running
 from socket_testbed.errors import TestbedError
 from socket_testbed.identification import validation
+from socket_testbed.identification.channel_errors import evaluate
 from socket_testbed.identification.data_finding import DataFinding
-from socket_testbed.identification.fit import evaluate
 from socket_testbed.report import quality, write
 from socket_testbed.results import models
 from socket_testbed.results.report import compute_results
@@ -157,7 +157,7 @@ def test_outliers_have_their_fate(dropped: bool, fate: str) -> None:
 def test_notes_name_their_trial_once(
     scene_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (opened,) = options.open_all([scene_folder], TrialFiles())
+    (opened,) = running.open_all([scene_folder], TrialFiles())
     opened.note("is odd")
     opened.note("scene: no side is stated")
     assert capsys.readouterr().err.splitlines() == [

@@ -353,7 +353,7 @@ def test_an_unseen_half_has_the_settings(stage: Stage) -> None:
     stage.patch.setattr(validation, "split", split)
     stage.patch.setattr(validation.fit, "fit_contact_model", fit)
     stage.patch.setattr(validation.fit, "predictions", predicted)
-    stage.patch.setattr(validation.fit, "evaluate", lambda *given: given)
+    stage.patch.setattr(validation, "evaluate", lambda *given: given)
     own = settings_of(pose_smoothing=1.5, theta=0.25, leave_out=WITHOUT).identification
     found = validation.judge_unseen_half(stage.trial.samples(), stage.trial.geometry, own)
     samples, values, left_out = found

@@ -13,11 +13,11 @@ from support import results_by_hand, scene
 
 import socket_testbed as st
 from socket_testbed import api
-from socket_testbed.commands import options, pages, results
+from socket_testbed.commands import pages, results, running
 from socket_testbed.commands.calls import Fit
+from socket_testbed.identification.channel_errors import ChannelErrors, evaluate
 from socket_testbed.identification.data_finding import DataFinding
 from socket_testbed.identification.differences import Conditions
-from socket_testbed.identification.fit import ChannelErrors, evaluate
 from socket_testbed.results.comparing import values_table
 from socket_testbed.results.comparison import Comparison
 from socket_testbed.results.result import Result
@@ -90,7 +90,7 @@ def test_a_batch_tells_the_worst_finding() -> None:
     said: list[str] = []
     found = tuple(DataFinding(name, "is odd", "look at it") for name in ("worst", "mild"))
     trial: Any = SimpleNamespace(problems=lambda left: found, note=said.append)
-    assert options.report_data(trial, good=False) == "check worst: is odd; look at it"
+    assert running.report_data(trial, good=False) == "check worst: is odd; look at it"
     assert said == [str(each) for each in found]
 
 

@@ -21,7 +21,7 @@ from socket_testbed.__main__ import run
 from socket_testbed.drivers import ERROR, OK, WARN, DeviceBusyError
 from socket_testbed.errors import DeviceError
 from socket_testbed.geometry.socket import write_socket
-from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.channel_errors import ChannelErrors
 from socket_testbed.identification.paper import beside_published
 from socket_testbed.identification.pareto import Front, FrontPoint
 from socket_testbed.identification.validation import Judgement

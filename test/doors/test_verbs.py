@@ -18,11 +18,12 @@ from support.clocks import FakeClock
 
 from socket_testbed import api
 from socket_testbed.__main__ import run
-from socket_testbed.commands import demo, live, options, pages, terminal, trials
+from socket_testbed.commands import demo, live, pages, running, terminal, trials
 from socket_testbed.commands.calls import BatchOptions, Evaluate, Report, SimulatedOptions
 from socket_testbed.commands.terminal import Progress, decimals, fitted, status_parts, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.fit import ChannelErrors, evaluate, predictions
+from socket_testbed.identification.channel_errors import ChannelErrors, evaluate
+from socket_testbed.identification.fit import predictions
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.settings.options import option
 from socket_testbed.simulation.testbed import Simulation
@@ -279,26 +280,26 @@ def test_a_slower_testbed_is_noted(
 
 
 def test_a_summary_has_the_segment_s_columns() -> None:
-    found = options.segment_columns(41, Segment("span", 10.0, 20.0, slice(40, 81)))
+    found = running.segment_columns(41, Segment("span", 10.0, 20.0, slice(40, 81)))
     assert found == {
         "samples": 41, "segment": "span", "segment_start [s]": 10.0, "segment_end [s]": 20.0
     }  # fmt: skip
 
 
 def test_an_option_has_name_and_value() -> None:
-    assert options.name_and_value("a=b=c", "--x", "y=z") == ("a", "b=c")
+    assert running.name_and_value("a=b=c", "--x", "y=z") == ("a", "b=c")
 
 
 @pytest.mark.parametrize("word", ["a", "a=", "=b"], ids=["name", "no value", "no name"])
 def test_half_an_option_is_refused(word: str) -> None:
     with pytest.raises(ConfigurationError) as found:
-        options.name_and_value(word, "--x", "y=z")
+        running.name_and_value(word, "--x", "y=z")
     assert found.value.fact == f"--x: '{word}' is not NAME=VALUE"
     assert found.value.hint == "write it as y=z"
 
 
 def test_options_left_as_they_are_pass() -> None:
-    options.refuse_given({"model": None, "tare": "recorded"}, "x", "y")
+    running.refuse_given({"model": None, "tare": "recorded"}, "x", "y")
 
 
 @pytest.mark.parametrize(
@@ -308,7 +309,7 @@ def test_options_left_as_they_are_pass() -> None:
 )
 def test_given_options_are_refused(name: str, value: object, shown: str) -> None:
     with pytest.raises(ConfigurationError, match=f"{shown} is for x"):
-        options.refuse_given({name: value}, "x", "y")
+        running.refuse_given({name: value}, "x", "y")
 
 
 # --- simulate, info, annotate
@@ -572,9 +573,9 @@ def batch(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ..
     """What is asked of a batch of two trials, instead of running it."""
     asked: list[tuple[Any, ...]] = []
     found = {"a": tmp_path / "a", "b": tmp_path / "b"}
-    monkeypatch.setattr(options, "find_trials", lambda folder, note: found)
-    monkeypatch.setattr(options, "run_batch", lambda *given: asked.append(given))
-    monkeypatch.setattr(options, "plan_jobs", lambda *given: given)
+    monkeypatch.setattr(running, "find_trials", lambda folder, note: found)
+    monkeypatch.setattr(running, "run_batch", lambda *given: asked.append(given))
+    monkeypatch.setattr(running, "plan_jobs", lambda *given: given)
     return asked
 
 
@@ -588,7 +589,7 @@ class Judge(BatchOptions):
     figure: Path | None = option(None, "draw it")
 
 
-VERB: Any = options.TrialVerb("judge", ".judged.csv", None, None, None, ("side",))  # type: ignore[arg-type]
+VERB: Any = running.TrialVerb("judge", ".judged.csv", None, None, None, ("side",))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -601,7 +602,7 @@ def test_a_batch_is_done_as_stated(
     call = Judge(
         tmp_path, output=tmp_path / "out", jobs=2, again=again, replace=replace, threshold=0.25
     )
-    options.on_trials(VERB, call)
+    running.on_trials(VERB, call)
     ((task, (opened, output, suffix, files), _, _, jobs, dask),) = batch
     assert (task.verb, task.folder) == ("judge", tmp_path / "out")
     assert (task.again, task.replace) == (again, replace)
@@ -622,7 +623,7 @@ def test_a_folder_has_a_folder_of_outputs(
     choices: dict[str, Any], batch: list[Any], tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigurationError):
-        options.on_trials(VERB, Judge(tmp_path, **_paths(choices)))
+        running.on_trials(VERB, Judge(tmp_path, **_paths(choices)))
     assert not batch
 
 
@@ -636,29 +637,29 @@ def _paths(choices: dict[str, Any]) -> dict[str, Any]:
 def test_a_trial_has_no_options_of_folders(
     option: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(options, "find_trials", lambda folder, note: {})
+    monkeypatch.setattr(running, "find_trials", lambda folder, note: {})
     value: dict[str, Any] = {"jobs": 2, "dask": "tcp://a:1", "again": True}
     with pytest.raises(ConfigurationError, match=f"--{option} is for a folder of trials"):
-        options.on_trials(VERB, Judge(tmp_path, **{option: value[option]}))
+        running.on_trials(VERB, Judge(tmp_path, **{option: value[option]}))
 
 
 def test_an_evaluation_s_check_ignores_what_the_fit_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     models: Any = {Path("m.json"): SimpleNamespace(settings=SimpleNamespace(leave_out=("Mz",)))}
-    monkeypatch.setattr(options, "read_model", models.get)
+    monkeypatch.setattr(running, "read_model", models.get)
     trial: Any = None
-    assert options.left_out(trial, Evaluate(Path("a"), model=Path("m.json"))) == ("Mz",)
+    assert running.left_out(trial, Evaluate(Path("a"), model=Path("m.json"))) == ("Mz",)
 
 
 def test_a_job_s_row_begins_with_its_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """The work and the check are given the files and the output of the job."""
-    monkeypatch.setattr(options, "left_out", lambda trial, given: given.params)
-    monkeypatch.setattr(options, "report_data", lambda trial, good, leave_out: leave_out)
+    monkeypatch.setattr(running, "left_out", lambda trial, given: given.params)
+    monkeypatch.setattr(running, "report_data", lambda trial, good, leave_out: leave_out)
     verb: Any = SimpleNamespace(
         work=lambda trial, given: (trial, given.output, given.params),
         row=lambda found: {"found": found},
     )
     job: Any = SimpleNamespace(trial="t", files={"params": "its"}, output="own")
-    row = options._run_job(verb, Judge(Path("study"), output=Path("folder")), job)
+    row = running._run_job(verb, Judge(Path("study"), output=Path("folder")), job)
     assert row == {"data": "its", "found": ("t", "own", "its")} and next(iter(row)) == "data"

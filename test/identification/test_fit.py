@@ -16,6 +16,7 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification import fit as fitting
 from socket_testbed.identification import solver as solving
+from socket_testbed.identification.channel_errors import channel_errors, summarise_errors
 from socket_testbed.identification.contact import LAWS, ContactModel, wrench_map
 from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.identification.problem import MIN_SAMPLES, Problem, build_objective
@@ -375,7 +376,7 @@ def test_a_regression_comes_back_from_its_file(linear, tmp_path):
 def test_errors_are_those_by_hand():
     measured = np.array([1.0, np.nan, 2.0, 3.0, 6.0, 9.0])
     predicted = np.array([2.0, 2.0, 2.0, 1.0, 6.0, np.inf])
-    found = fitting.channel_errors("Fx", measured, predicted, in_objective=False)
+    found = channel_errors("Fx", measured, predicted, in_objective=False)
     # Residuals 1, 0, -2, 0 with mean -1/4; measured with mean 3 and variance 14/4.
     assert found.rmse == pytest.approx(math.sqrt(5.0 / 4.0))
     assert found.mae == pytest.approx(3.0 / 4.0)
@@ -385,21 +386,21 @@ def test_errors_are_those_by_hand():
 
 
 def test_a_channel_without_a_value_has_no_errors():
-    found = fitting.channel_errors("Mx", np.full(4, np.nan), np.zeros(4))
+    found = channel_errors("Mx", np.full(4, np.nan), np.zeros(4))
     assert found.samples == 0 and math.isnan(found.rmse) and math.isnan(found.skill)
 
 
 def test_a_constant_channel_has_no_skill():
-    found = fitting.channel_errors("Fx", np.full(1000, 1e-7), np.full(1000, 1.0 + 1e-7))
+    found = channel_errors("Fx", np.full(1000, 1e-7), np.full(1000, 1.0 + 1e-7))
     assert found.rmse == pytest.approx(1.0) and math.isnan(found.skill)
 
 
 def test_quoted_figures_are_of_the_objective_s_channels(rng):
     names = ("Mx", "My", "Mz", "Fx", "Fy", "Fz", "a.Fx", "a.Fy", "Mid.Fx")
-    errors = [fitting.channel_errors(name, *rng.normal(size=(2, 50))) for name in names]
-    left_out = fitting.channel_errors("Mx", 1e3 * np.ones(5), np.zeros(5), in_objective=False)
-    dead = fitting.channel_errors("Mz", np.full(30, np.nan), np.zeros(30))
-    found = fitting.summarise_errors([*errors, left_out, dead])
+    errors = [channel_errors(name, *rng.normal(size=(2, 50))) for name in names]
+    left_out = channel_errors("Mx", 1e3 * np.ones(5), np.zeros(5), in_objective=False)
+    dead = channel_errors("Mz", np.full(30, np.nan), np.zeros(30))
+    found = summarise_errors([*errors, left_out, dead])
     rmse = np.array([error.rmse for error in errors])
     means = (found.mean_moment_rmse, found.mean_force_rmse, found.median_local_rmse)
     assert means == pytest.approx((rmse[:3].mean(), rmse[3:6].mean(), np.median(rmse[6:])))

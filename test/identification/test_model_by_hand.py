@@ -12,7 +12,8 @@ from support import scene
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification import model_file
-from socket_testbed.identification.fit import ChannelErrors, FittedModel
+from socket_testbed.identification.channel_errors import ChannelErrors
+from socket_testbed.identification.fit import FittedModel
 from socket_testbed.identification.model_file import read_model
 
 NAN = float("nan")

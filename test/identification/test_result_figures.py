@@ -13,7 +13,14 @@ from support.problems import make_samples
 
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import fit, paper, pareto, validation
-from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.channel_errors import (
+    ChannelErrors,
+    channel_errors,
+    deviation,
+    errors_to_dataframe,
+    skill_of,
+    summarise_errors,
+)
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.noise import measurement_errors
 from socket_testbed.identification.pareto import Front, FrontPoint
@@ -60,7 +67,7 @@ COUNTED = (
 def test_errors_of_a_channel_are_by_hand() -> None:
     """Residuals 1, 3 and 2 of 10, 20 and 30; the best constant has sqrt(200 / 3)."""
     measured, predicted = np.array([10.0, 20.0, NAN, 30.0, 5.0]), np.array([11.0, 23, 9, 32, NAN])
-    found = fit.channel_errors("distal.Fz", measured, predicted, in_objective=False)
+    found = channel_errors("distal.Fz", measured, predicted, in_objective=False)
     rmse = np.sqrt(14.0 / 3.0)
     assert (found.name, found.unit, found.samples, found.in_objective) == (
         *("distal.Fz", "N"),
@@ -71,7 +78,7 @@ def test_errors_of_a_channel_are_by_hand() -> None:
 
 
 def test_errors_without_a_sample_are_unknown() -> None:
-    found = fit.channel_errors("Mx", np.array([NAN]), np.array([1.0]))
+    found = channel_errors("Mx", np.array([NAN]), np.array([1.0]))
     assert (found.unit, found.samples, found.in_objective) == ("N m", 0, True)
     assert np.isnan([found.rmse, found.mae, found.sigma, found.skill]).all()
 
@@ -82,12 +89,12 @@ def test_errors_without_a_sample_are_unknown() -> None:
     ids=["two", "constant", "rounding", "unknown"],
 )
 def test_deviation_is_of_the_best_constant(values: list[float], expected: float) -> None:
-    assert fit.deviation(np.array(values)) == pytest.approx(expected, abs=1e-15, nan_ok=True)
+    assert deviation(np.array(values)) == pytest.approx(expected, abs=1e-15, nan_ok=True)
 
 
 def test_skill_is_against_the_constant() -> None:
-    assert fit.skill_of(1.0, 4.0) == 0.75 and fit.skill_of(8.0, 4.0) == -1.0
-    assert np.isnan(fit.skill_of(1.0, 0.0))
+    assert skill_of(1.0, 4.0) == 0.75 and skill_of(8.0, 4.0) == -1.0
+    assert np.isnan(skill_of(1.0, 0.0))
 
 
 SUMMARY = {
@@ -102,11 +109,11 @@ SUMMARY = {
 
 @pytest.mark.parametrize("figure", SUMMARY)
 def test_the_summary_is_of_counted_channels(figure: str) -> None:
-    assert getattr(fit.summarise_errors(COUNTED), figure) == pytest.approx(SUMMARY[figure])
+    assert getattr(summarise_errors(COUNTED), figure) == pytest.approx(SUMMARY[figure])
 
 
 def test_the_summary_is_said_with_units() -> None:
-    found = fit.summarise_errors(COUNTED)
+    found = summarise_errors(COUNTED)
     assert found.without_value == ("Fz",)
     assert found.in_words(lambda value: f"{value:g}") == (
         "mean moment RMSE 2 N m, mean force RMSE 3 N, median local RMSE 7 N"
@@ -114,7 +121,7 @@ def test_the_summary_is_said_with_units() -> None:
 
 
 def test_the_table_of_errors_has_its_titles() -> None:
-    table = fit.errors_to_dataframe(COUNTED)
+    table = errors_to_dataframe(COUNTED)
     assert table.index.name == "channel"
     assert [*table.columns] == [
         *("unit", "RMSE", "MAE", "sigma", "skill", "samples", "in objective")

@@ -16,8 +16,9 @@ from std_srvs.srv import SetBool
 from support.hand_outputs import GEOMETRY, MEASURED, OUTPUTS, PLACES, PRESSURE, REACH, SHEAR
 from support.tabs import LIVE_PAGE, Tab, served
 
+from socket_testbed.arrays import NORMAL_QUANTILE
 from socket_testbed.geometry.regions import all_regions
-from socket_testbed.identification.force_map import NORMAL_QUANTILE, MapEstimate
+from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import Service, ServiceControls
 from socket_testbed.nodes.view_node import LiveSource

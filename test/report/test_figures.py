@@ -95,10 +95,10 @@ def test_tiles_have_the_colours_of_their_values(larger: float, socket, rng):
 def test_tiles_without_a_value_are_hatched(socket, rng):
     values = rng.uniform(5.0, 30.0, 18)
     values[3] = np.nan
-    figure = tile_map_figure(socket, {"mean": values}, UNIT, from_zero=True)
+    figure = tile_map_figure(socket, {"mean": values}, UNIT)
     hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
     assert hatched == 1 and "hatched: no value" in figure.get_supxlabel()
-    np.testing.assert_allclose(scales_of(figure), [(0.0, np.nanmax(values))])
+    np.testing.assert_allclose(scales_of(figure), [(np.nanmin(values), np.nanmax(values))])
 
 
 COLOUR = np.array(colormaps[style.SCALE](PowerNorm(0.5, 0.0, 40.0)(20.0))[:3])

@@ -18,7 +18,7 @@ from socket_testbed.arrays import within
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.figures.wall import unrolled_tiles
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.fit import summarise_errors
+from socket_testbed.identification.channel_errors import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.report import fronts, validation, write
 from socket_testbed.report.page import Pictures, Section, write_page, write_socket_page

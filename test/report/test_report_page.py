@@ -19,8 +19,8 @@ from support.pages import LABELS, MADE, NASTY, Page
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.figures import style
+from socket_testbed.identification.channel_errors import evaluate, summarise_errors
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import evaluate, summarise_errors
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report.write import files_folder, write_report
 from socket_testbed.results.report import Results

@@ -83,7 +83,7 @@ def test_an_option_has_its_parameter(function: Callable[..., Any]) -> None:
 def test_an_override_is_a_setting_that_is_given() -> None:
     """Not the prior of a report, which is a survey, though a setting has this name."""
     given = {"theta": 0.25, "leave_out": ["Mz"], "smoothness": 0.0}
-    assert options.EstimationOptions(params=Path("a"), **given).overrides() == given
+    assert options.SettingsOptions(params=Path("a"), **given).overrides() == given
     assert options.ReportOptions(prior=Path("a"), thetas=3, frames=0).overrides() == {"frames": 0}
     assert options.PaperOptions().overrides() == {"weights": "raw", "frames": 1000}
 

@@ -13,7 +13,7 @@ import socket_testbed as st
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.identification.fit import summarise_errors
+from socket_testbed.identification.channel_errors import summarise_errors
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell
 from socket_testbed.settings.acquisition import ClusterSettings

@@ -21,8 +21,9 @@ import numpy as np
 import pytest
 
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.channel_errors import evaluate
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import Fit, evaluate
+from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.pareto import Front, FrontPoint
 from socket_testbed.identification.solver import BoxSolution, Certificate
 from socket_testbed.identification.validation import (

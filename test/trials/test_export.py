@@ -17,7 +17,7 @@ from support.bags import rewrite
 
 import socket_testbed as st
 from socket_testbed.calibration.bench_data import STRESSES
-from socket_testbed.identification.fit import evaluate
+from socket_testbed.identification.channel_errors import evaluate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import matlab_names, write_table

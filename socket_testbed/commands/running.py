@@ -1,4 +1,4 @@
-"""What several verbs do with their options, and running a verb on a trial or a folder of trials."""
+"""How verbs run: a trial is opened and checked, work done on one or a folder, results delivered."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.survey_prior import read_survey
 from socket_testbed.settings.options import (
     RECORDED,
-    EstimationOptions,
     MetadataOptions,
     OpenOptions,
     Options,
+    SettingsOptions,
     TrialFiles,
     given,
 )
@@ -95,7 +95,7 @@ def left_out(trial: Trial, options: Options) -> Sequence[str] | None:
     if stated is not None or params is None:
         return stated
     own = trial.estimator.identification.leave_out
-    of_file = trial.settings_for(EstimationOptions(params=params)).identification.leave_out
+    of_file = trial.settings_for(SettingsOptions(params=params)).identification.leave_out
     return None if of_file == own else of_file
 
 
