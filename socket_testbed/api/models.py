@@ -54,8 +54,7 @@ def fit(
 
     Args:
         trial: The trial.
-        segment: The part to fit, such as `plateau`, `hold`, `10:20` or `(10, 20)` [s], or a
-            `Segment`: see `Trial.select` for all that it may be.
+        segment: As in `Trial.select`, such as `hold`, `10:20` or `(10, 20)` [s], or a `Segment`.
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: The law: `stiffness` as published, `rigid` by the limb's pose; `_bias` with offsets
             [-].

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
-FIXED_ENDS = (50.0, 100.0, 200.0, 400.0)  # [kPa]; of the colour scales of pressures
+# [kPa]; of the colour scales of pressures; pages/static/socket.js has the same
+FIXED_ENDS = (50.0, 100.0, 200.0, 400.0)
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
 
 

@@ -12,6 +12,8 @@ import pytest
 from support.hand_made import hand_moment, hand_socket
 from support.tabs import DARK, INK, NARROW, Picture, Tab, read_colour
 
+from socket_testbed.figures.scale import FIXED_ENDS
+
 BOXES = """<html><body><div id="map"></div>
 <script src="plotly.js"></script><script src="socket.js"></script></body></html>"""
 VIOLET, TEAL, YELLOW = (68, 1, 84), (33, 145, 140), (253, 231, 37)  # viridis at 0, 0.5 and 1
@@ -469,3 +471,8 @@ def test_the_map_follows_the_window(query) -> None:
         assert after.layout[axis]["tickfont"]["color"] == "rgb(250, 250, 250)"
     assert after.heatmap().trace["colorbar"]["tickfont"]["color"] == "rgb(250, 250, 250)"
     assert after.heatmap().trace["z"] == before.heatmap().trace["z"]
+
+
+def test_automatic_scales_of_pressures_end_as_those_for_print() -> None:
+    scale = opened().evaluate("SCALES.pressure")
+    assert [end for end in scale["ends"] if end >= scale["least"]] == [*FIXED_ENDS]
