@@ -76,7 +76,7 @@ def named_channels(names: object, clusters: Collection[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(chain.from_iterable(found)))
 
 
-def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
+def refuse_unknown_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
     """Check that every name is a channel.
 
     Args:

@@ -16,7 +16,7 @@ from socket_testbed.identification.survey_prior import SurveyPrior, read_survey
 from socket_testbed.results.pressure import TrialMap, TrialPressure, map_trial
 from socket_testbed.results.result import PathLike
 from socket_testbed.results.survey import Survey
-from socket_testbed.samples import check_channels
+from socket_testbed.samples import refuse_unknown_channels
 from socket_testbed.settings.options import MapOptions, PressureOptions, SettingsOptions
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, Span
@@ -76,7 +76,7 @@ def _mapped(
     prior: Survey | PathLike | None = None,
 ) -> TrialMap:
     learnt = prior_for(trial, prior)
-    check_channels(settings.identification.leave_out, trial.samples().channels)
+    refuse_unknown_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = trial.select(segment, settings)
     trial.note_problems(settings.identification.leave_out)
     with threadpool_limits(1):

@@ -26,7 +26,7 @@ from socket_testbed.identification.wrench import fit_wrench
 from socket_testbed.samples import (
     Samples,
     channel_names,
-    check_channels,
+    refuse_unknown_channels,
 )
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
 
@@ -184,7 +184,7 @@ def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> 
         clusters: Names of the clusters of the samples to fit.
     """
     check_solver(settings.solver)
-    check_channels(settings.leave_out, channel_names(clusters))
+    refuse_unknown_channels(settings.leave_out, channel_names(clusters))
 
 
 def fit_contact_model(

