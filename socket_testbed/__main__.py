@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import keyword
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pkgutil import resolve_name
 
 if __name__ == "__main__" or sys.argv[0].endswith("socket-testbed"):
@@ -85,6 +87,18 @@ def _complete(parser: argparse.ArgumentParser) -> None:
     autocomplete(parser)
 
 
+def _function_of(verb: str) -> Callable[..., None]:
+    """Import the function of a verb."""
+    function = verb + "_" * keyword.iskeyword(verb)
+    # The imports make hundreds of thousands of objects, all of which stay.
+    gc.disable()
+    try:
+        return resolve_name(f"socket_testbed.commands.{CALLS[verb].module}:{function}")
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 def run(arguments: list[str] | None = None) -> int:
     """Run a verb, and print an error as one line.
 
@@ -104,8 +118,7 @@ def run(arguments: list[str] | None = None) -> int:
         from socket_testbed.live.processes import graph_environment  # not for --help
 
         os.environ |= graph_environment()
-        function = verb + "_" * keyword.iskeyword(verb)
-        resolve_name(f"socket_testbed.commands.{CALLS[verb].module}:{function}")(**options)
+        _function_of(verb)(**options)
         sys.stdout.flush()
     except TestbedError as error:
         print(f"socket-testbed {verb}: error: {error}", file=sys.stderr)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,9 +28,6 @@ from socket_testbed.samples import (
     refuse_unknown_channels,
 )
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
-
-if TYPE_CHECKING:
-    pass
 
 OWN_SPRINGS = "the bed's own springs"
 _MIN_CHANGE = 0.1  # [-]; of the force, relative to its RMS

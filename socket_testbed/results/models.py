@@ -380,8 +380,10 @@ def judge(trial: Trial, model: FittedModel, segment: Segment) -> Evaluation:
     samples = checked.posed(rows)
     check_parts(samples, "a prediction")
     with threadpool_limits(1):
-        predicted = model.predictions(samples, every[: rows.start])
         over_trial = model.predictions(every)
+        predicted = over_trial[rows]
+        if window:  # as in the fit, poses are averaged within the segment
+            predicted = model.predictions(samples, every[: rows.start])
     errors = evaluate(samples, predicted, leave_out)
     if not any(error.samples for error in errors):
         raise IdentificationError(

@@ -143,7 +143,7 @@ def call_evaluate(stage: Stage, **options: Any) -> None:
     stage.watch_trials()
 
     def predicted(stored: Any, samples: Any, past: Any = None) -> Any:
-        if past is not None:  # else those of the whole trial
+        if past is not None:  # the segment's own, as poses are averaged within it
             stage.seen |= {"predicted": len(samples), "past": len(past)}
         stage.seen["model of"] = stored.trial
         stage.seen["averaged over"] = stored.settings.pose_smoothing
@@ -154,8 +154,12 @@ def call_evaluate(stage: Stage, **options: Any) -> None:
         return "pressure"
 
     stage.patch.setattr(FittedModel, "predictions", predicted)
-    errors = (SimpleNamespace(samples=1),)
-    stage.keep("results.models.evaluate", "", "", "judged without", returned=errors)
+
+    def judged(samples: Any, predictions: Any, leave_out: Any) -> Any:
+        stage.seen.setdefault("judged", len(samples))  # later the rest of the trial
+        return (SimpleNamespace(samples=1),)
+
+    stage.replace("results.models.evaluate", judged)
     stage.replace("api.models.pressure_of", pressures)
     found = st.evaluate(stage.trial, **{"model": "model.json"} | options)
     stage.seen["segment"] = str(found.segment)
@@ -617,8 +621,8 @@ CASES: dict[str, Cases] = {
     },
     "evaluate": {
         "model": ("other.json", {"model of": "other"}),
-        "segment": ("2:5", {"part": "2:5", "segment": SPAN, "predicted": 13, "past": 8}),
-        "pose_smoothing": (1.5, {"averaged over": 1.5}),
+        "segment": ("2:5", {"part": "2:5", "segment": SPAN, "judged": 13}),
+        "pose_smoothing": (1.5, {"averaged over": 1.5, "predicted": 96, "past": 0}),
         "pressure": (True, {"pressure of": "all 0.00 s to 23.75 s"}),
     },
     "pareto": {

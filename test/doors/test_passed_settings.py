@@ -58,6 +58,7 @@ def computed(
 
     def evaluated(samples: Samples, predictions: Any, leave_out: Any) -> tuple[Any, ...]:
         stage.seen["judged without"] = leave_out
+        stage.seen.setdefault("judged", len(samples))  # later the rest of the trial
         return (SimpleNamespace(samples=len(samples)),)
 
     def published(errors: Any, fronts: Any, samples: Samples, own: Any, geometry: Any) -> None:
@@ -147,10 +148,9 @@ REPORT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"frames": 7},
         {
             "fitted": 7,
+            "judged": 7,
             "traced": 7,
             "published": 7,
-            "averaged to predict 13": "nothing",
-            "averaged to predict 7": 0.0,
             "averaged to share": (7, 0.0),
             "segment": "span 2.00 s to 3.50 s",
         },
